@@ -1,0 +1,135 @@
+"""The CasADi functions of a component: what is evaluated in-process, and what is generated as C."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from fmus_src.component import Causality, Component, Variable
+from fmus_src.lookups import Lookup
+
+STATE_INPUTS = ("t", "x", "z", "u", "p", "k", "w")
+
+
+@dataclass(frozen=True)
+class Equations:
+    """A component's equations, checked and compiled to CasADi functions.
+
+    All of `derivatives`, `outputs`, `update` and `lookup_arguments[i]` take (t, x, z, u, p, k, w): time, states,
+    sampled states, inputs, parameters, calculated parameters, lookup results. `forward` takes these and the seeds
+    (dx, du, dw) and returns (dx', dy); `lookup_forward[i]` likewise for a lookup's arguments.
+    """
+
+    component: Component
+    variables: tuple[Variable, ...]
+    strings: tuple[Variable, ...]
+    lookups: tuple[Lookup, ...]
+    sizes: dict[str, int]
+    calculate: ca.Function
+    initial: ca.Function
+    derivatives: ca.Function
+    outputs: ca.Function
+    update: ca.Function
+    lookup_arguments: tuple[ca.Function, ...]
+    forward: ca.Function
+    lookup_forward: tuple[ca.Function, ...]
+
+    def of(self, *causalities: Causality) -> list[Variable]:
+        """Variables of the causalities, in storage order."""
+        return [v for v in self.variables if v.causality in causalities]
+
+    def functions(self) -> list[ca.Function]:
+        """All functions, in the order in which C is generated."""
+        return [
+            self.calculate, self.initial, self.derivatives, self.outputs, self.update, self.forward,
+            *self.lookup_arguments, *self.lookup_forward,
+        ]  # fmt: skip
+
+    def output_dependencies(self) -> npt.NDArray[np.bool_]:
+        """Direct feed-through: outputs (rows) by inputs (columns), through lookups too."""
+        of_inputs = [np.zeros((0, self.sizes["u"]), dtype=bool)]
+        for lookup, function in zip(self.lookups, self.lookup_arguments, strict=True):
+            of_arguments = self._sparsity(function, "u") | self._through(function, of_inputs)
+            of_inputs.append((lookup.dependencies().astype(int) @ of_arguments.astype(int)) > 0)
+        return self._sparsity(self.outputs, "u") | self._through(self.outputs, of_inputs)
+
+    def _through(self, function: ca.Function, of_inputs: list[Any]) -> Any:
+        known = np.vstack(of_inputs)
+        direct = self._sparsity(function, "w")[:, : known.shape[0]]
+        return (direct.astype(int) @ known.astype(int)) > 0
+
+    @staticmethod
+    def _sparsity(function: ca.Function, name: str) -> npt.NDArray[np.bool_]:
+        pattern = function.jac_sparsity(0, STATE_INPUTS.index(name))
+        return np.asarray(ca.DM(pattern, 1.0).full() != 0.0)
+
+
+def derive(component: Component) -> Equations:
+    """Check a component and compile its equations.
+
+    Raises:
+        ValueError: a state has no equation, or an expression uses a symbol that was not declared.
+    """
+    groups = component.groups
+    sym = component.sym
+
+    def column(parts: list[Any]) -> Any:
+        return ca.vertcat(*parts) if parts else sym(0, 1)
+
+    x, z, u, p, k = (column(groups[c].symbols) for c in ("state", "sampled_state", "input", "parameter", "calculated"))
+    w = column(component.lookup_symbols)
+    arguments = [component.time, x, z, u, p, k, w]
+    seeds = [sym.sym(f"d{n}", s.numel()) for n, s in zip("xuw", (x, u, w), strict=True)]
+
+    def function(name: str, inputs: list[Any], outputs: list[Any]) -> ca.Function:
+        try:
+            return ca.Function(name, inputs, outputs)
+        except RuntimeError as error:
+            free = [line for line in str(error).splitlines() if "free" in line] or [str(error).splitlines()[-1]]
+            raise ValueError(f"{component.name}: {name} uses undeclared symbols: {free[0].strip()}") from error
+
+    def directional(expression: Any) -> Any:
+        total = sym.zeros(expression.numel(), 1)
+        for symbol, seed in zip((x, u, w), seeds, strict=True):
+            if symbol.numel() and expression.numel():
+                total += ca.jtimes(expression, symbol, seed)
+        return ca.densify(total)
+
+    rate, following = column(component.rates("state")), column(component.rates("sampled_state"))
+    y = column(groups["output"].expressions)
+    calculated = _in_order(p, groups["calculated"], sym)
+    initial = [column(groups["state"].expressions), column(groups["sampled_state"].expressions)]
+    lookup_arguments = [ca.densify(a) for a in component.lookup_arguments]
+    order: tuple[Causality, ...] = ("parameter", "calculated", "input", "output", "state", "sampled_state")
+    sizes = {n: int(s.numel()) for n, s in zip("xzupkwy", (x, z, u, p, k, w, y), strict=True)}
+    return Equations(
+        component=component,
+        variables=tuple(v for c in order for v in groups[c].variables),
+        strings=tuple(component.strings),
+        lookups=tuple(component.lookups),
+        sizes=sizes,
+        calculate=function("calculate", [p], [calculated]),
+        initial=function("initial", [p, k], initial),
+        derivatives=function("derivatives", arguments, [rate]),
+        outputs=function("outputs", arguments, [y]),
+        update=function("update", arguments, [following]),
+        lookup_arguments=tuple(function(f"lookup{i}", arguments, [a]) for i, a in enumerate(lookup_arguments)),
+        forward=function("forward", [*arguments, *seeds], [directional(rate), directional(y)]),
+        lookup_forward=tuple(
+            function(f"lookup{i}_forward", [*arguments, *seeds], [directional(a)])
+            for i, a in enumerate(lookup_arguments)
+        ),
+    )
+
+
+def _in_order(p: Any, group: Any, sym: Any) -> Any:
+    """Calculated parameters as expressions in p alone (one may use those declared before it)."""
+    done: list[Any] = []
+    for expression in group.expressions:
+        earlier = group.symbols[: len(done)]
+        done.append(ca.substitute([expression], earlier, done)[0] if earlier else expression)
+    return ca.vertcat(*done) if done else sym(0, 1)

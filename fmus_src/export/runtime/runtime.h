@@ -1,0 +1,94 @@
+/* What the generated part of an FMU (model.c, equations.c) tells the runtime. */
+#ifndef RUNTIME_H
+#define RUNTIME_H
+
+#include <stddef.h>
+
+/* As CasADi's generated code declares them. */
+#ifndef casadi_real
+#define casadi_real double
+#endif
+#ifndef casadi_int
+#define casadi_int long long int
+#endif
+
+typedef int (*equation_function)(const casadi_real **arg, casadi_real **res, casadi_int *iw, casadi_real *w, int mem);
+typedef int (*work_function)(casadi_int *arg, casadi_int *res, casadi_int *iw, casadi_int *w);
+
+typedef struct {
+    equation_function evaluate;
+    work_function work;
+} equation;
+
+enum { T, X, Z, U, P, K, W, DX, DU, DW, N_ARGUMENTS }; /* argument order of the equations */
+
+typedef enum { REAL, INTEGER, BOOLEAN } variable_kind;
+typedef enum { FIXED_PARAMETER, TUNABLE_PARAMETER, CALCULATED, INPUT, OUTPUT, STATE } variable_role;
+
+typedef struct {
+    const char *name;
+    variable_kind kind;
+    variable_role role;
+    double start, min, max;
+} variable;
+
+/* Lookups: operations on arguments -> results that are not plain expressions. */
+typedef enum { TABLE, FIELD, IMPLICIT } lookup_kind;
+
+typedef struct {
+    const double *data; /* [tables][points][columns] */
+    const int *which;   /* table of each argument */
+    int arguments, points, columns;
+    double first, spacing;
+} table_data;
+
+typedef struct {
+    int points, string; /* number of points; index of the string variable that names the file */
+} field_data;
+
+typedef struct {
+    const char *name;
+    equation system; /* (y, a) -> r, dr/dy, dr/da (column-major) */
+    equation guess;  /* a -> y */
+    int unknowns, row, count;
+} implicit_data;
+
+typedef struct {
+    lookup_kind kind;
+    int arguments, results;
+    equation argument;         /* (t, x, z, u, p, k, w) -> arguments */
+    equation argument_forward; /* the same, along a direction */
+    const void *data;
+} lookup;
+
+typedef struct {
+    const char *identifier, *guid;
+    int n_variables, n_strings, n_lookups;
+    int n_x, n_z, n_u, n_p, n_k, n_w, n_y, n_arguments; /* n_arguments: longest lookup argument */
+    double internal_step, sample_time;                  /* sample_time 0: no sampled states */
+    const variable *variables;                          /* order: p, k, u, y, x, z */
+    const char *const *string_names, *const *string_starts;
+    const lookup *lookups;
+    equation calculate, initial, derivatives, outputs, update, forward;
+} model_description;
+
+extern const model_description model;
+
+/* Turbulent wind boxes (TurbSim .bts). */
+typedef struct wind_box wind_box;
+wind_box *wind_box_open(const char *path, char *message, size_t size);
+void wind_box_close(wind_box *box);
+/* Velocities (and, if not NULL, their derivatives by t, x, y, z: 12 per point) at points; 0 if all are inside. */
+int wind_box_sample(const wind_box *box, double t, const double *points, int n, double *velocity, double *gradient,
+                    char *message, size_t size);
+
+void table_evaluate(const table_data *table, const double *x, double *result);
+void table_forward(const table_data *table, const double *x, const double *dx, double *dresult);
+
+#define IMPLICIT_MAX 8 /* unknowns and arguments of one implicit equation */
+int implicit_evaluate(const implicit_data *data, const double *arguments, int warm, double *solution, casadi_int *iw,
+                      casadi_real *work, char *message, size_t size);
+int implicit_forward(const implicit_data *data, const double *arguments, const double *solution,
+                     const double *darguments, double *dsolution, casadi_int *iw, casadi_real *work);
+
+#endif

@@ -1,0 +1,173 @@
+"""The C sources of an FMU: generated equations and description, beside the runtime."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterable
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+
+from fmus_src.component import Variable
+from fmus_src.equations import Equations
+from fmus_src.lookups import FieldLookup, ImplicitLookup, TableLookup
+
+RUNTIME = Path(__file__).parent / "runtime"
+RUNTIME_SOURCES = ("fmi2.c", "lookup_table.c", "lookup_field.c", "lookup_implicit.c")
+COMPILED = ("model.c", *RUNTIME_SOURCES)
+FMI_HEADERS = ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h")
+MAX_FUNCTION_ARGUMENTS = 32  # of the runtime's argument arrays
+MAX_IMPLICIT = 8
+
+
+def source_files(equations: Equations, guid: str) -> dict[str, str]:
+    """All C files of a component's FMU by name, headers of FMI included.
+
+    Raises:
+        ValueError: an equation exceeds a fixed size of the runtime.
+    """
+    files = {name: (RUNTIME / name).read_text() for name in ("runtime.h", *RUNTIME_SOURCES)}
+    files |= {name: (fmi_headers() / name).read_text() for name in FMI_HEADERS}
+    files["equations.c"] = equations_source(equations)
+    files["model.c"] = model_source(equations, guid)
+    return files
+
+
+def fmi_headers() -> Path:
+    """Folder of the FMI headers that the installed fmpy carries."""
+    import fmpy
+
+    return Path(fmpy.__file__).parent / "c-code"
+
+
+def equations_source(equations: Equations) -> str:
+    """CasADi's C code for all functions of a component."""
+    functions = [*equations.functions()]
+    for lookup in equations.lookups:
+        if isinstance(lookup, ImplicitLookup):
+            if max(lookup.unknowns, lookup.row_size) > MAX_IMPLICIT:
+                raise ValueError(f"{lookup.name}: at most {MAX_IMPLICIT} unknowns and arguments an equation")
+            functions += lookup.functions()
+    generator = ca.CodeGenerator("equations", {"with_header": False})
+    for function in functions:
+        if max(function.sz_arg(), function.sz_res()) > MAX_FUNCTION_ARGUMENTS:
+            raise ValueError(f"{equations.component.name}.{function.name()}: too many arguments for the runtime")
+        generator.add(function)
+    with tempfile.TemporaryDirectory() as folder:
+        generator.generate(folder + "/")
+        return (Path(folder) / "equations.c").read_text()
+
+
+def model_source(equations: Equations, guid: str) -> str:
+    """`model.c`: the variables, lookups and functions as the runtime's tables."""
+    component, sizes = equations.component, equations.sizes
+    lookups = [_lookup(i, lookup) for i, lookup in enumerate(equations.lookups)]
+    longest = max((lookup.argument_size for lookup in equations.lookups), default=0)
+    rows = ",\n".join(_variable(v) for v in equations.variables)
+    strings = equations.strings
+    counts = [
+        sum(v.size for v in equations.variables), len(strings), len(lookups),
+        *(sizes[key] for key in "xzupkwy"), longest,
+    ]  # fmt: skip
+    functions = ("calculate", "initial", "derivatives", "outputs", "update", "forward")
+    return f"""/* Generated from the component's Python definition. */
+#include <math.h>
+
+#include "runtime.h"
+
+#define CASADI_SYMBOL_EXPORT static
+#include "equations.c"
+
+static const variable variables[] = {{
+{rows or "    {0}"}
+}};
+
+static const char *const string_names[] = {{{_texts(v.name for v in strings)}}};
+static const char *const string_starts[] = {{{_texts(v.text for v in strings)}}};
+
+{"".join(declaration for declaration, _ in lookups)}
+static const lookup lookups[] = {{
+{",".join(entry for _, entry in lookups) or "    {TABLE, 0, 0, {0}, {0}, 0}"}
+}};
+
+const model_description model = {{
+    {_text(component.name)}, {_text(guid)},
+    {", ".join(str(n) for n in counts)},
+    {component.internal_step!r}, {component.sample_time or 0.0!r},
+    variables, string_names, string_starts, lookups,
+    {", ".join(_equation(name) for name in functions)}
+}};
+"""
+
+
+def _equation(name: str) -> str:
+    return f"{{{name}, {name}_work}}"
+
+
+def _text(value: str) -> str:
+    escaped = value.replace("\\", "\\\\").replace('"', '\\"').replace("\n", " ")
+    return f'"{escaped}"'
+
+
+def _texts(values: Iterable[str]) -> str:
+    return ", ".join(_text(v) for v in values) or '""'
+
+
+def number(value: float | None, otherwise: str = "0.0") -> str:
+    """A C literal that reads back as the same double."""
+    return otherwise if value is None else repr(float(value))
+
+
+def _variable(v: Variable) -> str:
+    kind = {"real": "REAL", "integer": "INTEGER", "boolean": "BOOLEAN"}[v.kind]
+    role = {
+        "parameter": "TUNABLE_PARAMETER" if v.tunable else "FIXED_PARAMETER",
+        "calculated": "CALCULATED",
+        "input": "INPUT",
+        "output": "OUTPUT",
+        "state": "STATE",
+        "sampled_state": "STATE",
+    }[v.causality]
+    low, high = number(v.min, "-HUGE_VAL"), number(v.max, "HUGE_VAL")
+    return ",\n".join(
+        f"    {{{_text(name)}, {kind}, {role}, {number(start)}, {low}, {high}}}"
+        for name, start in zip(v.element_names(), v.start, strict=True)
+    )
+
+
+def _lookup(i: int, lookup: object) -> tuple[str, str]:
+    """Declarations of a lookup's data, and its entry in the table."""
+    if isinstance(lookup, TableLookup):
+        values = _wrapped(number(x) for x in np.ravel(lookup.data))
+        which = _wrapped(str(n) for n in lookup.which)
+        _, points, columns = lookup.data.shape
+        kind, declaration = "TABLE", (
+            f"static const double table{i}_data[] = {{{values}}};\nstatic const int table{i}_which[] = {{{which}}};\n"
+            f"static const table_data lookup{i}_data = {{table{i}_data, table{i}_which, {len(lookup.which)}, {points}, "
+            f"{columns}, {number(lookup.first)}, {number(lookup.spacing)}}};\n"
+        )  # fmt: skip
+    elif isinstance(lookup, FieldLookup):
+        kind = "FIELD"
+        declaration = f"static const field_data lookup{i}_data = {{{lookup.points}, {lookup.file_index}}};\n"
+    elif isinstance(lookup, ImplicitLookup):
+        kind = "IMPLICIT"
+        system, guess = _equation(f"{lookup.name}_system"), _equation(f"{lookup.name}_guess")
+        declaration = (
+            f"static const implicit_data lookup{i}_data = {{{_text(lookup.name)}, {system}, {guess}, "
+            f"{lookup.unknowns}, {lookup.row_size}, {lookup.count}}};\n"
+        )
+    else:
+        raise TypeError(f"no C runtime for {lookup!r}")
+    entry = (
+        f"    {{{kind}, {lookup.argument_size}, {lookup.result_size}, {_equation(f'lookup{i}')}, "
+        f"{_equation(f'lookup{i}_forward')}, &lookup{i}_data}}"
+    )
+    return declaration, entry
+
+
+def _wrapped(items: Iterable[str]) -> str:
+    """Comma-separated items with a line break now and then, which compilers and people prefer."""
+    listed = list(items)
+    lines = [", ".join(listed[i : i + 8]) for i in range(0, len(listed), 8)]
+    return "\n    " + ",\n    ".join(lines) + "\n"

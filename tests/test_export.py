@@ -1,0 +1,305 @@
+"""The exporter: FMUs that agree with their Python definition, validate, and misuse of which is refused."""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import shutil
+import subprocess
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import fmpy
+import fmpy.fmi2
+import fmpy.validation
+import numpy as np
+import pytest
+from fmpy.fmi1 import FMICallException
+
+from fmus_src.component import Component
+from fmus_src.equations import derive
+from fmus_src.export import build
+from fmus_src.export.sources import COMPILED, fmi_headers, source_files
+from fmus_src.instance import Instance
+from fmus_src.tmd.model import component as tmd
+
+from .conftest import every_feature
+
+
+class Loaded:
+    """One FMU, extracted once; instances of it keep their log lines in `messages`."""
+
+    def __init__(self, path: Path, folder: Path) -> None:
+        self.description = fmpy.read_model_description(str(path))
+        self.folder = folder
+        fmpy.extract(str(path), unzipdir=str(folder))
+        self.reference = {v.name: v.valueReference for v in self.description.modelVariables}
+        self.messages: list[str] = []
+
+    def instance(self, name: str = "one") -> fmpy.fmi2.FMU2Slave:
+        slave = fmpy.fmi2.FMU2Slave(
+            guid=self.description.guid,
+            unzipDirectory=str(self.folder),
+            modelIdentifier=self.description.coSimulation.modelIdentifier,
+            instanceName=name,
+        )
+        callbacks = fmpy.fmi2.fmi2CallbackFunctions()
+        callbacks.logger = fmpy.fmi2.fmi2CallbackLoggerTYPE(self._log)
+        callbacks.allocateMemory = fmpy.fmi2.fmi2CallbackAllocateMemoryTYPE(fmpy.fmi2.calloc)
+        callbacks.freeMemory = fmpy.fmi2.fmi2CallbackFreeMemoryTYPE(fmpy.fmi2.free)
+        slave.instantiate(callbacks=callbacks)
+        return slave
+
+    def _log(self, environment: Any, name: bytes, status: int, category: bytes, message: bytes) -> None:
+        self.messages.append(message.decode())
+
+    def vr(self, *names: str) -> list[int]:
+        return [self.reference[n] for n in names]
+
+
+@pytest.fixture(scope="module")
+def feature_fmu(built: Callable[[Component], Path], tmp_path_factory: pytest.TempPathFactory) -> Loaded:
+    return Loaded(built(every_feature()), tmp_path_factory.mktemp("feature"))
+
+
+def initialised(fmu: Loaded, values: dict[str, float] | None = None) -> fmpy.fmi2.FMU2Slave:
+    slave = fmu.instance()
+    slave.setupExperiment(startTime=0.0)
+    if values:
+        slave.setReal(fmu.vr(*values), list(values.values()))
+    slave.enterInitializationMode()
+    slave.exitInitializationMode()
+    return slave
+
+
+def outputs_of(fmu: Loaded) -> list[str]:
+    return [v.name for v in fmu.description.modelVariables if v.causality == "output"]
+
+
+def test_fmu_agrees_with_its_python_definition(feature_fmu: Loaded) -> None:
+    names = outputs_of(feature_fmu)
+    slave = initialised(feature_fmu)
+    twin = Instance(every_feature())
+    twin.initialise()
+    for i in range(40):
+        t = 0.03 * i
+        u = {"u[1]": np.sin(t), "u[2]": 0.3 * np.cos(2 * t)}
+        slope = {"u[1]": np.cos(t), "u[2]": -0.6 * np.sin(2 * t)}
+        slave.setReal(feature_fmu.vr(*u), list(u.values()))
+        slave.setRealInputDerivatives(feature_fmu.vr(*slope), [1, 1], list(slope.values()))
+        slave.doStep(t, 0.03)
+        twin.set(u)
+        twin.set_slope(slope)
+        twin.do_step(0.03)
+        ours = twin.outputs()
+        # The same operations in the same order; only the rounding of library functions and sums may differ.
+        assert slave.getReal(feature_fmu.vr(*names)) == pytest.approx([ours[n] for n in names], rel=1e-11, abs=1e-11)
+    assert twin.get("z") == 3 + 12  # twelve sample instants in 1.2 s
+    slave.terminate()
+    slave.freeInstance()
+
+
+def test_validates_and_states_true_dependencies(feature_fmu: Loaded, fmu_folder: Path) -> None:
+    assert fmpy.validation.validate_fmu(str(fmu_folder / "every_feature.fmu")) == []
+    description = feature_fmu.description
+    depends = {u.variable.name: [d.name for d in u.dependencies] for u in description.outputs}
+    assert depends["rotated[1]"] == []
+    assert depends["feedthrough[1]"] == ["u[1]", "u[2]"]
+    assert depends["root[1]"] == ["u[1]"]
+    assert depends["root[2]"] == ["u[2]"]
+    assert all(v.description for v in description.modelVariables)
+
+
+def test_directional_derivatives_equal_finite_differences(feature_fmu: Loaded) -> None:
+    names = outputs_of(feature_fmu)
+    at = {"u[1]": 0.42, "u[2]": -0.33}
+    slave = initialised(feature_fmu)
+    step = 1e-4
+    for known in at:
+        columns = []
+        for shift in (-step, step):
+            shifted = at | {known: at[known] + shift}
+            slave.setReal(feature_fmu.vr(*shifted), list(shifted.values()))
+            columns.append(np.array(slave.getReal(feature_fmu.vr(*names))))
+        slave.setReal(feature_fmu.vr(*at), list(at.values()))
+        exact = slave.getDirectionalDerivative(feature_fmu.vr(*names), feature_fmu.vr(known), [1.0])
+        # Truncation step^2/6 times a third derivative of order one, and Newton's tolerance 1e-12 over the step: 1e-8.
+        np.testing.assert_allclose(exact, (columns[1] - columns[0]) / (2 * step), rtol=0, atol=1e-7)
+    slave.freeInstance()
+
+
+def test_state_is_complete(feature_fmu: Loaded) -> None:
+    """After a restore (from bytes too) the same steps give the same bits."""
+    names = outputs_of(feature_fmu)
+    slave = initialised(feature_fmu)
+
+    def advance(begin: float) -> list[float]:
+        for i in range(5):
+            slave.setReal(feature_fmu.vr("u[1]", "u[2]"), [0.1 * i, 0.5])
+            slave.doStep(begin + 0.07 * i, 0.07)
+        return list(slave.getReal(feature_fmu.vr(*names)))
+
+    advance(0.0)
+    state = slave.getFMUstate()
+    stored = slave.serializeFMUstate(state)
+    first = advance(5 * 0.07)
+    slave.setFMUstate(state)
+    assert advance(5 * 0.07) == first
+    other = initialised(feature_fmu)
+    again = other.deSerializeFMUstate(stored)
+    other.setFMUstate(again)
+    slave, other = other, slave
+    assert advance(5 * 0.07) == first
+    other.freeFMUstate(state)
+    slave.freeFMUstate(again)
+    slave.freeInstance()
+    other.freeInstance()
+
+
+def test_instances_are_independent_and_reset_restarts(feature_fmu: Loaded) -> None:
+    one, two = initialised(feature_fmu), initialised(feature_fmu, {"rate": 5.0})
+    for i in range(10):
+        one.doStep(0.1 * i, 0.1)
+    for i in range(10):
+        two.doStep(0.1 * i, 0.1)
+    x = feature_fmu.vr("x[2]")
+    # Five Runge-Kutta sub-steps' error of exp(-rate t): (rate h)^5/120 a step.
+    assert one.getReal(x)[0] == pytest.approx(np.exp(-2.0), rel=1e-5)
+    assert two.getReal(x)[0] == pytest.approx(np.exp(-5.0), rel=1e-3)
+    before = one.getReal(x)
+    one.reset()
+    one.setupExperiment(startTime=0.0)
+    one.enterInitializationMode()
+    one.exitInitializationMode()
+    for i in range(10):
+        one.doStep(0.1 * i, 0.1)
+    assert one.getReal(x) == before
+    one.freeInstance()
+    two.freeInstance()
+
+
+@pytest.mark.parametrize(
+    ("misuse", "words"),
+    [
+        (lambda s, f: s.setReal(f.vr("rate"), [-1.0]), "rate = -1 is outside its bounds 0 to 100"),
+        (lambda s, f: s.setReal(f.vr("u[1]"), [float("nan")]), "u[1] = nan is not finite"),
+        (lambda s, f: s.setReal(f.vr("matrix[1,1]"), [2.0]), "matrix[1,1] cannot be set after initialisation"),
+        (lambda s, f: s.setReal(f.vr("scaled"), [2.0]), "computed by the FMU"),
+        (lambda s, f: s.getReal([10_000]), "no such value reference: 10000"),
+        (lambda s, f: s.getReal(f.vr("n")), "no such value reference"),
+        (lambda s, f: s.doStep(0.5, 0.1), "called for 0.5 s, but the FMU is at 0 s"),
+        (lambda s, f: s.doStep(0.0, 0.0), "step 0 s is not positive"),
+        (lambda s, f: s.enterInitializationMode(), "called out of order"),
+    ],
+)
+def test_misuse_is_refused_with_a_message(
+    feature_fmu: Loaded, misuse: Callable[[fmpy.fmi2.FMU2Slave, Loaded], None], words: str
+) -> None:
+    slave = initialised(feature_fmu)
+    feature_fmu.messages.clear()
+    with pytest.raises(FMICallException):
+        misuse(slave, feature_fmu)
+    assert any(words in m for m in feature_fmu.messages), feature_fmu.messages
+    slave.freeInstance()
+
+
+def test_divergence_names_the_state(built: Callable[[Component], Path], tmp_path: Path) -> None:
+    c = Component("runaway", "x' = x^2 blows up at t = 1")
+    x = c.state("x", start=1.0, description="state")
+    c.derivative(x, x**2)
+    fmu = Loaded(built(c), tmp_path)
+    slave = initialised(fmu)
+    with pytest.raises(FMICallException):
+        slave.doStep(0.0, 2.0)
+    assert "state x" in fmu.messages[-1]
+    assert "unstable" in fmu.messages[-1]
+    slave.freeInstance()
+
+
+def test_same_input_same_bytes_whatever_the_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    digests = set()
+    for name in ("a", "b/with/a/longer/path"):
+        monkeypatch.setattr(build, "user_cache_path", lambda _, n=name: tmp_path / n)
+        fmu = build.build_fmu(tmd(), tmp_path / name / "out")
+        digests.add(hashlib.sha256(fmu.read_bytes()).hexdigest())
+    assert len(digests) == 1
+
+
+def test_unchanged_components_come_from_the_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(build, "user_cache_path", lambda _: tmp_path / "cache")
+    build.build_fmu(tmd(), tmp_path / "one")
+    compiled = []
+    monkeypatch.setattr(build, "compile_shared", lambda *a, **k: compiled.append(a))
+    build.build_fmu(tmd(), tmp_path / "two")
+    assert (tmp_path / "one/tmd.fmu").read_bytes() == (tmp_path / "two/tmd.fmu").read_bytes()
+    assert compiled == []
+
+
+@pytest.mark.skipif(shutil.which("ldd") is None, reason="needs ldd")
+def test_needs_only_libc_and_libm(feature_fmu: Loaded) -> None:
+    library = next((feature_fmu.folder / "binaries").rglob("every_feature.so"))
+    listed = subprocess.run(["ldd", library], capture_output=True, text=True, check=True).stdout
+    names = {line.split()[0].rsplit("/", 1)[-1].split(".")[0] for line in listed.splitlines()}
+    assert names <= {"linux-vdso", "libc", "libm", "libdl", "libpthread", "ld-linux-x86-64"}, listed
+
+
+def test_exports_fmi_functions_only(feature_fmu: Loaded) -> None:
+    library = ctypes.CDLL(str(next((feature_fmu.folder / "binaries").rglob("every_feature.*"))))
+    assert library.fmi2DoStep
+    for internal in ("derivatives", "outputs", "model", "wind_box_open"):
+        assert not hasattr(library, internal)
+
+
+DRIVER = Path(__file__).parent / "runtime_cycle.c"
+
+
+@pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc with sanitizers")
+def test_memory_is_clean_over_a_full_cycle(tmp_path: Path) -> None:
+    """AddressSanitizer and UBSan over instantiate, run, save, restore, reset, free; leaks included."""
+    for name, text in source_files(derive(every_feature()), "{test}").items():
+        (tmp_path / name).write_text(text)
+    program = tmp_path / "cycle"
+    flags = ["-std=c99", "-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-w"]
+    sources = [str(DRIVER), *COMPILED]
+    made = subprocess.run(
+        ["gcc", *flags, "-I.", *sources, "-lm", "-o", str(program)], cwd=tmp_path, capture_output=True, text=True
+    )
+    if made.returncode != 0 and "san" in made.stderr:
+        pytest.skip("gcc has no sanitizer libraries")
+    assert made.returncode == 0, made.stderr
+    ran = subprocess.run([str(program)], cwd=tmp_path, capture_output=True, text=True)
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+    assert "cycle complete" in ran.stdout
+
+
+def test_sources_are_complete_for_any_compiler(built: Callable[[Component], Path], tmp_path: Path) -> None:
+    """The archive's sources alone (FMI headers included) compile; binaries are not needed."""
+    with zipfile.ZipFile(built(tmd())) as archive:
+        archive.extractall(tmp_path)
+    assert {p.name for p in (tmp_path / "sources").iterdir()} >= {*COMPILED, "fmi2Functions.h", "equations.c"}
+    from fmus_src.export.compiler import compile_shared
+
+    made = compile_shared([Path(s) for s in COMPILED], tmp_path / "again.so", working_dir=tmp_path / "sources")
+    assert made.stat().st_size > 10_000
+    assert (fmi_headers() / "fmi2Functions.h").exists()
+
+
+def test_loads_in_libcosim(built: Callable[[Component], Path]) -> None:
+    libcosimpy = pytest.importorskip("libcosimpy")
+    from libcosimpy.CosimExecution import CosimExecution
+    from libcosimpy.CosimObserver import CosimObserver
+    from libcosimpy.CosimSlave import CosimLocalSlave
+
+    assert libcosimpy
+    execution = CosimExecution.from_step_size(step_size=12_500_000)
+    slave = execution.add_local_slave(CosimLocalSlave(fmu_path=str(built(every_feature())), instance_name="one"))
+    observer = CosimObserver.create_last_value()
+    assert execution.add_observer(observer)
+    assert execution.simulate_until(target_time=1_000_000_000)
+    reference = {
+        v.name: v.valueReference for v in fmpy.read_model_description(str(built(every_feature()))).modelVariables
+    }
+    values = observer.last_real_values(slave, [reference["x[1]"], reference["x[2]"]])
+    assert values == pytest.approx([3 * np.exp(-2.0), np.exp(-2.0)], rel=1e-6)
