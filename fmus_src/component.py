@@ -63,6 +63,7 @@ class Variable:
         min, max: bounds of every element, or None.
         nominal: magnitude for solver tolerances, or None.
         tunable: whether a parameter may change during a run.
+        internal: of no interest outside (coefficients of a sum, say): the FMU does not list it.
     """
 
     name: str
@@ -78,6 +79,7 @@ class Variable:
     nominal: float | None = None
     display_unit: str | None = None
     tunable: bool = False
+    internal: bool = False
 
     @property
     def size(self) -> int:
@@ -171,13 +173,21 @@ class Component:
         return name
 
     def calculated(
-        self, name: str, expression: Any, *, unit: str = "1", description: str, nominal: float | None = None
+        self,
+        name: str,
+        expression: Any,
+        *,
+        unit: str = "1",
+        description: str,
+        nominal: float | None = None,
+        internal: bool = False,
     ) -> Any:
         """Declare a value that depends on parameters only and is evaluated once, at initialisation."""
         shape = _shape_of(expression)
         variable = Variable(
-            name, "calculated", description, unit, shape=shape, start=(0.0,) * _size(shape), nominal=nominal
-        )
+            name, "calculated", description, unit, shape=shape, start=(0.0,) * _size(shape), nominal=nominal,
+            internal=internal,
+        )  # fmt: skip
         self.groups["calculated"].expressions.append(self._flat(expression))
         return self._declare(variable)
 

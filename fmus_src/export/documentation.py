@@ -43,7 +43,7 @@ def documentation(equations: Equations) -> str:
             f'<td class="n">{_start(v.start) if causality in ("parameter", "input") else ""}</td>'
             f"<td>{escape(v.description)}</td></tr>"
             for v in equations.variables
-            if v.causality == causality
+            if v.causality == causality and not v.internal
         ]
         if causality == "parameter":
             rows += [

@@ -96,7 +96,8 @@ def _variables(parent: ET.Element, equations: Equations) -> None:
     reference = 0
     for v in equations.variables:
         for name, start in zip(v.element_names(), v.start, strict=True):
-            _scalar(parent, v, name, reference, start)
+            if not v.internal:
+                _scalar(parent, v, name, reference, start)
             reference += 1
     for i, v in enumerate(equations.strings):
         attributes = _attributes(v, v.name, i) | {"variability": "fixed", "initial": "exact"}
@@ -148,7 +149,7 @@ def _number(v: Variable, value: float) -> str:
 
 
 def _structure(parent: ET.Element, equations: Equations) -> None:
-    names = [(v.causality, n) for v in equations.variables for n in v.element_names()]
+    names = [(v.causality, n) for v in equations.variables if not v.internal for n in v.element_names()]
     first_input = next((i for i, (c, _) in enumerate(names) if c == "input"), 0) + 1
     outputs = [i + 1 for i, (c, _) in enumerate(names) if c == "output"]
     calculated = [i + 1 for i, (c, _) in enumerate(names) if c == "calculated"]
