@@ -1,0 +1,215 @@
+"""The fitness of a damper design (Wang et al. 2022, eqs. 13-14), evaluated on the simplified model's FMU."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Literal, cast, get_args
+
+import numpy as np
+import numpy.typing as npt
+from fmpy import extract, read_model_description
+from fmpy.fmi1 import FMICallException
+from fmpy.fmi2 import (
+    FMU2Slave,
+    defaultCallbacks,
+    fmi2CallbackFunctions,
+    fmi2CallbackLoggerTYPE,
+    fmi2Fatal,
+    fmi2Warning,
+)
+
+Array = npt.NDArray[np.float64]
+DamperName = Literal["tmd-n", "tmd-p", "mtmd"]
+FITNESS = "tower_top_displacement_std"
+
+
+@dataclass(frozen=True)
+class DesignVariable:
+    """A damper parameter to be tuned, with its bounds (eq. 14; its second line names the nacelle twice).
+
+    Attributes:
+        name: of the FMU's variable, such as "nacelle_damper.k".
+        unit: of name, bounds and result.
+    """
+
+    name: str
+    lower: float
+    upper: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Design:
+    """What is tuned for one damper arrangement.
+
+    Attributes:
+        damper: arrangement.
+        variables: in the order of a candidate's values.
+        switches: which dampers are there.
+        paper_fitness: of the published optimum, m (table 4).
+    """
+
+    damper: DamperName
+    variables: tuple[DesignVariable, ...]
+    switches: dict[str, float]
+    paper_fitness: float
+
+
+def design(damper: str) -> Design:
+    """Design variables of a damper arrangement.
+
+    Raises:
+        ValueError: no such arrangement.
+    """
+    fitness = {"tmd-n": 0.4881, "tmd-p": 0.3863, "mtmd": 0.3735}
+    if damper not in fitness:
+        raise ValueError(f"unknown damper '{damper}': choose one of {', '.join(get_args(DamperName))}")
+    places = {"nacelle_damper": (50_000.0, damper != "tmd-p"), "platform_damper": (200_000.0, damper != "tmd-n")}
+    variables = tuple(
+        DesignVariable(f"{place}.{name}", 0.0, upper, unit)
+        for place, (upper, present) in places.items()
+        if present
+        for name, unit in (("k", "N/m"), ("c", "N.s/m"))
+    )
+    switches = {f"{place}.active": float(present) for place, (_, present) in places.items()}
+    return Design(cast(DamperName, damper), variables, switches, fitness[damper])
+
+
+class TowerTopDeviation:
+    """Standard deviation of the tower-top displacement over a free decay: one `doStep` of the FMU per candidate.
+
+    Each worker thread has an FMU instance of its own, reset for every candidate; the FMU's code runs outside Python's
+    interpreter lock. Results do not depend on the number of workers.
+
+    Args:
+        fmu: the simplified model.
+        variables: names of the parameters that a candidate gives.
+        parameters: values of others, the same for all candidates (an identified parameter set, say).
+        horizon: length of the decay, s (paper: not given; 100 s reproduces table 4).
+        workers: threads.
+
+    Attributes:
+        first_failure: message of the first candidate that could not be evaluated, or None.
+
+    Raises:
+        ValueError: the FMU lacks one of the variables, or is no co-simulation FMU.
+    """
+
+    def __init__(
+        self,
+        fmu: Path,
+        variables: Sequence[str],
+        parameters: Mapping[str, float] | None = None,
+        *,
+        horizon: float = 100.0,
+        workers: int = 1,
+    ) -> None:
+        if workers < 1 or not horizon > 0.0:
+            raise ValueError(f"{fmu.name}: the objective needs workers >= 1 and a horizon above 0 s")
+        self.names, self.fixed, self.horizon = tuple(variables), dict(parameters or {}), horizon
+        self.first_failure: str | None = None
+        self._description = read_model_description(str(fmu))
+        known = {v.name: v for v in self._description.modelVariables}
+        for name in (*self.names, *self.fixed, FITNESS):
+            if name not in known:
+                raise ValueError(f"{fmu.name} has no variable '{name}': is it the simplified model's FMU?")
+        if self._description.coSimulation is None:
+            raise ValueError(f"{fmu.name} is no co-simulation FMU: export it with co-simulation")
+        self._known = known
+        self._folder = tempfile.mkdtemp(prefix="fowt-fmu-")
+        extract(str(fmu), self._folder)
+        self._workers = workers
+        self._messages: list[str] = []
+        self._callbacks = _collecting(self._messages)
+        self._slaves: list[Any] = [self._instantiate() for _ in range(workers)]
+
+    def __enter__(self) -> TowerTopDeviation:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Free the instances and the unpacked FMU."""
+        for slave in self._slaves:
+            slave.freeInstance()
+        self._slaves = []
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    def __call__(self, candidates: Array) -> Array:
+        """Fitness in m, shape (n,), of candidates of shape (n, variables); nan where the simulation failed."""
+        parts = np.array_split(np.arange(len(candidates)), self._workers)
+
+        def part(worker: int) -> list[float]:
+            return [self._evaluate(worker, candidates[i]) for i in parts[worker]]
+
+        if self._workers == 1:
+            return np.array(part(0))
+        with ThreadPoolExecutor(self._workers) as pool:
+            return np.concatenate([np.array(p) for p in pool.map(part, range(self._workers))])
+
+    def _instantiate(self) -> Any:
+        description = self._description
+        slave = FMU2Slave(
+            guid=description.guid,
+            unzipDirectory=self._folder,
+            modelIdentifier=description.coSimulation.modelIdentifier,
+            instanceName="objective",
+        )
+        slave.instantiate(callbacks=self._callbacks)
+        return slave
+
+    def _evaluate(self, worker: int, candidate: Array) -> float:
+        slave = self._slaves[worker]
+        values = self.fixed | dict(zip(self.names, candidate.tolist(), strict=True))
+        try:
+            slave.reset()
+            self._set(slave, values)
+            slave.setupExperiment(startTime=0.0, stopTime=self.horizon)
+            slave.enterInitializationMode()
+            slave.exitInitializationMode()
+            slave.doStep(currentCommunicationPoint=0.0, communicationStepSize=self.horizon)
+            fitness = float(slave.getReal([self._known[FITNESS].valueReference])[0])
+            problem = None if np.isfinite(fitness) else f"{FITNESS} = {fitness}"
+        except FMICallException as error:
+            # a failed instance is replaced, as FMI promises little about its state; a fatal one must not be touched
+            if error.status != fmi2Fatal:
+                slave.freeInstance()
+            self._slaves[worker] = self._instantiate()
+            fitness, problem = float("nan"), self._messages[-1] if self._messages else str(error)
+        if problem is not None and self.first_failure is None:
+            at = ", ".join(f"{n} = {v:.6g}" for n, v in values.items() if n in self.names)
+            self.first_failure = f"{problem} at {at}"
+        return fitness
+
+    def _set(self, slave: Any, values: Mapping[str, float]) -> None:
+        for name, value in values.items():
+            variable = self._known[name]
+            if variable.type == "Boolean":
+                slave.setBoolean([variable.valueReference], [bool(value)])
+            elif variable.type == "Integer":
+                slave.setInteger([variable.valueReference], [int(value)])
+            else:
+                slave.setReal([variable.valueReference], [float(value)])
+
+
+def _collecting(messages: list[str]) -> Any:
+    """FMI callbacks that keep the FMU's messages about errors instead of printing them."""
+
+    def log(environment: Any, instance: bytes, status: int, category: bytes, message: bytes | None) -> None:
+        if status > fmi2Warning and message:
+            messages[:] = [message.decode("utf-8", "replace").replace("%%", "%")]
+
+    callbacks = fmi2CallbackFunctions()
+    callbacks.logger = fmi2CallbackLoggerTYPE(log)
+    callbacks.allocateMemory = defaultCallbacks.allocateMemory
+    callbacks.freeMemory = defaultCallbacks.freeMemory
+    return callbacks
