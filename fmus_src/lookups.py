@@ -6,6 +6,7 @@ Each has a twin in the C runtime (`export/runtime/lookup_*.c`); here is the in-p
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -140,6 +141,7 @@ class ImplicitLookup:
     def result_size(self) -> int:
         return self.count * self.unknowns
 
+    @cached_property
     def functions(self) -> tuple[ca.Function, ca.Function]:
         """(y, a) -> residual, its Jacobian by y, its Jacobian by a; and a -> first guess."""
         y = ca.SX.sym("y", self.unknowns)
@@ -150,7 +152,7 @@ class ImplicitLookup:
         return system, ca.Function(f"{self.name}_guess", [a], [ca.densify(self.guess(a))])
 
     def evaluate(self, arguments: Array, memory: LookupMemory) -> Array:
-        system, guess = self.functions()
+        system, guess = self.functions
         rows = arguments.reshape(self.count, self.row_size)
         last = memory.solutions.get(self.name)
         result = np.empty((self.count, self.unknowns))

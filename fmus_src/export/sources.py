@@ -48,7 +48,7 @@ def equations_source(equations: Equations) -> str:
         if isinstance(lookup, ImplicitLookup):
             if max(lookup.unknowns, lookup.row_size) > MAX_IMPLICIT:
                 raise ValueError(f"{lookup.name}: at most {MAX_IMPLICIT} unknowns and arguments an equation")
-            functions += lookup.functions()
+            functions += lookup.functions
     generator = ca.CodeGenerator("equations", {"with_header": False})
     for function in functions:
         if max(function.sz_arg(), function.sz_res()) > MAX_FUNCTION_ARGUMENTS:

@@ -1,0 +1,95 @@
+"""Barge, tower, nacelle, rotor and drivetrain as a multibody system (Kane's method); see README.md.
+
+Degrees of freedom: six of the platform, two fore-aft and two side-to-side tower modes, generator azimuth and
+drivetrain torsion. Blades are rigid. Frames and signs as OpenFAST: X downwind, Z up, origin at mean sea level.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+
+from fmus_src.barge.assembly import Loads, State, equations_of_motion
+from fmus_src.barge.outputs import declare_outputs
+from fmus_src.barge.parameters import Parameters, declare_parameters
+from fmus_src.barge.turbine import Turbine, nrel_5mw_barge
+from fmus_src.component import Component
+
+
+def component(turbine: Turbine | None = None) -> Component:
+    """The floating turbine's structure; by default the NREL 5-MW turbine on the ITI Energy barge.
+
+    Args:
+        turbine: figures and tower constants, `fmus_src.barge.turbine.load(folder)` for another machine.
+    """
+    c = Component("barge", "Floating barge, tower, nacelle, rotor and drivetrain: structural dynamics")
+    figures = turbine or nrel_5mw_barge()
+    p = declare_parameters(c, figures)
+    loads = _declare_loads(c)
+    state = _declare_states(c, p)
+    motion = equations_of_motion(figures, p, loads, state)
+    c.derivative(state.position, state.velocity)
+    c.derivative(state.angles, state.angle_rates)
+    c.derivative(state.velocity, motion.acceleration[:3])
+    c.derivative(state.angle_rates, motion.acceleration[3:6])
+    first = 0
+    for coordinate, rate in zip(state.coordinates, state.coordinate_rates, strict=True):
+        last = first + coordinate.numel()
+        c.derivative(coordinate, rate)
+        c.derivative(rate, motion.acceleration[6:][first:last])
+        first = last
+    declare_outputs(c, figures, p, loads, state, motion)
+    return c
+
+
+def _declare_loads(c: Component) -> Loads:
+    def pair(port: str, where: str, force: str = "force", moment: str = "moment") -> tuple[Any, Any]:
+        return (
+            c.input(f"{port}.{force}", 3, unit="N", nominal=1e6, description=f"force {where}"),
+            c.input(f"{port}.{moment}", 3, unit="N.m", nominal=1e7, description=f"moment {where}"),
+        )
+
+    root = "of the air on blade {} at its root, coned blade frame; for RootMxc and RootMyc only"
+    return Loads(
+        hydro=pair("hydro", "of the water (less that of the added mass) at the platform reference point, global"),
+        mooring=pair("mooring", "of the mooring lines at the platform reference point, global"),
+        aero=pair("aero", "of the air on the rotor at its apex, global"),
+        blade_roots=[pair(f"blade{k}", root.format(k), "root_force", "root_moment") for k in (1, 2, 3)],
+        nacelle_damper=pair("nacelle_damper", "of the nacelle damper at its attachment, nacelle frame"),
+        platform_damper=pair("platform_damper", "of the platform damper at its attachment, platform frame"),
+        generator_torque=c.input(
+            "servo.generator_torque", unit="N.m", nominal=4e4,
+            description="generator torque, high-speed side, positive against the rotation",
+        ),
+    )  # fmt: skip
+
+
+def _declare_states(c: Component, p: Parameters) -> State:
+    """States; the first tower mode has unit deflection at the top, so that its start is the top's displacement."""
+    position = c.state(
+        "motion.position", 3, unit="m", start=p.initial_position, description="platform reference point, global"
+    )
+    angles = c.state(
+        "motion.rotation", 3, unit="rad", start=p.initial_rotation, display_unit="deg",
+        description="roll, pitch and yaw of the platform",
+    )  # fmt: skip
+    velocity = c.state("motion.velocity", 3, unit="m/s", description="velocity of the platform reference point, global")
+    angle_rates = c.state("motion.rotation_rate", 3, unit="rad/s", description="rates of roll, pitch and yaw")
+    relative = (
+        ("fore_aft", 2, "m", ca.vertcat(p.initial_tower_fore_aft, 0), 0.0, "deflections of the tower's fore-aft modes"),
+        ("side", 2, "m", 0.0, 0.0, "deflections of the tower's side-to-side modes"),
+        ("generator", (), "rad", p.initial_azimuth, p.initial_rotor_speed, "generator angle over the gear ratio"),
+        ("torsion", (), "rad", 0.0, 0.0, "torsion of the drivetrain, rotor less generator"),
+    )  # fmt: skip
+    return State(
+        position, velocity, angles, angle_rates,
+        coordinates=[
+            c.state(f"motion.{name}", shape, unit=unit, start=start, description=words)
+            for name, shape, unit, start, _, words in relative
+        ],
+        coordinate_rates=[
+            c.state(f"motion.{name}_rate", shape, unit=f"{unit}/s", start=start, description=f"rate of {words}")
+            for name, shape, unit, _, start, words in relative
+        ],
+    )  # fmt: skip
