@@ -93,7 +93,7 @@ def derive(component: Component) -> Equations:
             raise ValueError(f"{component.name}: {name} uses undeclared symbols: {free[0].strip()}") from error
 
     def directional(expression: Any) -> Any:
-        total = sym.zeros(expression.numel(), 1)
+        total: Any = sym.zeros(expression.numel(), 1)
         for symbol, seed in zip((x, u, w), seeds, strict=True):
             if symbol.numel() and expression.numel():
                 total += ca.jtimes(expression, symbol, seed)

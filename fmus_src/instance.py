@@ -10,11 +10,20 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from fmus_src.component import Component
+from fmus_src.component import Causality, Component
 from fmus_src.equations import Equations, derive
 from fmus_src.lookups import LookupMemory
 
 Array = npt.NDArray[np.float64]
+
+_KEYS: dict[str, Causality] = {
+    "p": "parameter",
+    "k": "calculated",
+    "u": "input",
+    "y": "output",
+    "x": "state",
+    "z": "sampled_state",
+}
 
 
 class Instance:
@@ -33,14 +42,10 @@ class Instance:
     def __init__(self, component: Component | Equations) -> None:
         self.equations = component if isinstance(component, Equations) else derive(component)
         e = self.equations
-        self._values: dict[str, Array] = {
-            key: np.array([s for v in e.of(causality) for s in v.start])
-            for key, causality in zip("pkuyxz", (
-                "parameter", "calculated", "input", "output", "state", "sampled_state"), strict=True)
-        }  # fmt: skip
+        self._values: dict[str, Array] = {}
         self._index: dict[str, tuple[str, int]] = {}
-        for key, causality in zip("pkuyxz", (
-            "parameter", "calculated", "input", "output", "state", "sampled_state"), strict=True):  # fmt: skip
+        for key, causality in _KEYS.items():
+            self._values[key] = np.array([s for v in e.of(causality) for s in v.start])
             names = [n for v in e.of(causality) for n in v.element_names()]
             self._index |= {n: (key, i) for i, n in enumerate(names)}
         self._strings = {v.name: v.text for v in e.strings}

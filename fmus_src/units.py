@@ -78,7 +78,7 @@ knot = 0.5144444444444445 * metre / second = kn
 def _registry() -> Any:
     import pint
 
-    registry = pint.UnitRegistry(None)
+    registry: Any = pint.UnitRegistry(None)
     registry.load_definitions(DEFINITIONS.strip().splitlines())
     return registry
 

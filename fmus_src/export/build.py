@@ -87,13 +87,17 @@ def build_all(
 ) -> dict[str, Path]:
     """Build several components, in parallel; `progress(name, path)` is called as each is done."""
     with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
-        jobs = {pool.submit(lambda make=make: build_fmu(make(), folder)): name for name, make in components.items()}
+        jobs = {pool.submit(_make_and_build, make, folder): name for name, make in components.items()}
         built: dict[str, Path] = {}
         for job in as_completed(jobs):
             built[jobs[job]] = job.result()
             if progress:
                 progress(jobs[job], built[jobs[job]])
     return {name: built[name] for name in components}
+
+
+def _make_and_build(make: Callable[[], Component], folder: Path) -> Path:
+    return build_fmu(make(), folder)
 
 
 def _content(component: Component) -> dict[str, str]:

@@ -1,0 +1,169 @@
+"""Checks of a system before it runs: names, causalities, types, units, bounds, unconnected and doubly fed inputs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from cosim.errors import CosimError, nearest
+from cosim.fmu import Fmu, FmuVariable, Value, read_fmu
+from cosim.system import ComponentInstance, Connection, StartValue, System
+from fmus_src.units import Unit, conversion
+
+SOURCES = ("output", "calculatedParameter", "parameter")
+UNITLESS = Unit("1", 1.0, 0.0, ())
+
+
+@dataclass(frozen=True)
+class Link:
+    """A checked connection: indices of the components, their variables; input = factor * output + offset."""
+
+    source: int
+    output: FmuVariable
+    target: int
+    input: FmuVariable
+    factor: float
+    offset: float
+
+
+@dataclass(frozen=True)
+class CheckedSystem:
+    """A system that can run.
+
+    Attributes:
+        names, fmus: of the components, in order.
+        start: start values of each component, in the FMU's own units.
+        warnings: one line each.
+    """
+
+    name: str
+    names: tuple[str, ...]
+    fmus: tuple[Fmu, ...]
+    links: tuple[Link, ...]
+    start: tuple[Mapping[str, Value], ...]
+    warnings: tuple[str, ...]
+
+
+def check(system: System) -> CheckedSystem:
+    """Check a system against its FMUs.
+
+    Raises:
+        CosimError: the first thing found wrong, in one line.
+    """
+    if not system.components:
+        raise CosimError(f"system '{system.name}' has no component")
+    fmus = tuple(read_fmu(c.fmu) for c in system.components)
+    names = tuple(c.name for c in system.components)
+    for fmu in fmus:
+        users = [n for n, f in zip(names, fmus, strict=True) if f.path == fmu.path]
+        if fmu.once_per_process and len(users) > 1:
+            raise CosimError(f"{fmu.path.name} can be instantiated only once, but {' and '.join(users)} use it")
+    links = tuple(_link(c, names, fmus) for c in system.connections)
+    fed: dict[tuple[int, str], Connection] = {}
+    for connection, link in zip(system.connections, links, strict=True):
+        other = fed.setdefault((link.target, link.input.name), connection)
+        if other is not connection:
+            raise CosimError(
+                f"{connection.target}.{connection.input} has two sources: {other} and {connection}; keep one"
+            )
+    start = tuple(
+        {n: _start_value(c, f.variable(c.name, n), v) for n, v in c.start.items()}
+        for c, f in zip(system.components, fmus, strict=True)
+    )
+    warnings = [*system.notes, *_unitless(links, names)]
+    for k, (name, fmu) in enumerate(zip(names, fmus, strict=True)):
+        inputs = [v for v in fmu.variables.values() if v.causality == "input"]
+        loose = [v for v in inputs if (k, v.name) not in fed and (name, v.name) not in system.open_inputs]
+        if loose:
+            values = ", ".join(f"{v.name} = {start[k].get(v.name, v.start)}" for v in loose)
+            warnings.append(f"{name}: not connected, start value used: {values}")
+    return CheckedSystem(system.name, names, fmus, links, start, tuple(warnings))
+
+
+def _link(connection: Connection, names: tuple[str, ...], fmus: tuple[Fmu, ...]) -> Link:
+    for name in (connection.source, connection.target):
+        if name not in names:
+            raise CosimError(f"connection {connection}: no component '{name}'{nearest(name, names)}")
+    source, target = names.index(connection.source), names.index(connection.target)
+    output = fmus[source].variable(f"connection {connection}: {connection.source}", connection.output)
+    taken = fmus[target].variable(f"connection {connection}: {connection.target}", connection.input)
+    if output.causality not in SOURCES:
+        raise CosimError(
+            f"connection {connection}: {output.name} is no output but {output.causality}; connect an output"
+        )
+    if taken.causality != "input":
+        raise CosimError(
+            f"connection {connection}: {taken.name} is no input but {taken.causality}; connect to an input"
+        )
+    kinds = [v.type.replace("Enumeration", "Integer") for v in (output, taken)]
+    if "String" in kinds:
+        raise CosimError(f"connection {connection}: text cannot be connected; set it as a parameter")
+    if kinds[0] != kinds[1] and kinds != ["Integer", "Real"]:
+        raise CosimError(f"connection {connection}: {output.type} cannot feed {taken.type}; connect equal types")
+    factor, offset = 1.0, 0.0
+    if connection.convert_units and output.unit is not None and taken.unit is not None:
+        try:
+            factor, offset = conversion(output.unit, taken.unit)
+        except ValueError as error:
+            raise CosimError(f"connection {connection}: unit {error}; connect quantities of one kind") from error
+    return Link(
+        source, output, target, taken, connection.factor * factor, connection.factor * offset + connection.offset
+    )
+
+
+def _unitless(links: tuple[Link, ...], names: tuple[str, ...]) -> list[str]:
+    """Warnings for connections between a variable with unit and one without."""
+    return [
+        f"{names[k.source]}.{k.output.name} -> {names[k.target]}.{k.input.name}: only one end has a unit"
+        f" ('{(k.output.unit or k.input.unit or UNITLESS).name}'); the value is passed unchanged"
+        for k in links
+        if (k.output.unit is None) != (k.input.unit is None)
+        and (k.output.unit or k.input.unit or UNITLESS).exponents
+        and k.output.type == k.input.type
+    ]
+
+
+def _start_value(component: ComponentInstance, variable: FmuVariable, given: StartValue) -> Value:
+    """The value in the FMU's unit and type, within its bounds."""
+    where = f"{component.name}.{variable.name} = {given.value}"
+    settable = variable.causality in ("parameter", "input") or variable.initial in ("exact", "approx")
+    if not settable or variable.variability == "constant":
+        raise CosimError(f"{where}: is {variable.causality} and cannot be set; set a parameter")
+    value = _typed(where, variable, given.value)
+    if isinstance(value, (bool, str)):
+        return value
+    if given.unit is not None and variable.unit is not None:
+        try:
+            factor, offset = conversion(given.unit, variable.unit)
+        except ValueError as error:
+            raise CosimError(f"{where}: unit {error}") from error
+        value = factor * value + offset
+    elif given.unit is not None and given.unit.exponents:
+        raise CosimError(f"{where} {given.unit.name}: the FMU declares no unit for it; give the value without unit")
+    if not math.isfinite(value):
+        raise CosimError(f"{where}: is not finite")
+    unit = f" {variable.unit.name}" if variable.unit else ""
+    if variable.min is not None and value < variable.min:
+        raise CosimError(f"{where}: {value:g}{unit} is below its minimum {variable.min:g}")
+    if variable.max is not None and value > variable.max:
+        raise CosimError(f"{where}: {value:g}{unit} is above its maximum {variable.max:g}")
+    return value
+
+
+def _typed(where: str, variable: FmuVariable, value: Value) -> Value:
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if variable.type == "Real" and number:
+        return float(value)
+    if (
+        variable.type in ("Integer", "Enumeration")
+        and number
+        and math.isfinite(float(value))
+        and float(value) == int(value)
+    ):
+        return int(value)
+    if variable.type == "Boolean" and (isinstance(value, bool) or value in (0, 1)):
+        return bool(value)
+    if variable.type == "String" and isinstance(value, str):
+        return value
+    raise CosimError(f"{where}: is no {variable.type}; give a value of that type")

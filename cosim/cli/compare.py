@@ -1,0 +1,128 @@
+"""`fowt compare`: suppression rates of damper arrangements, with histories and spectra."""
+
+from __future__ import annotations
+
+import json
+import os
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Annotated
+
+import pandas as pd
+import typer
+from rich.progress import TaskID
+from rich.table import Table
+
+from cosim.case import read_case
+from cosim.cli.console import Format, FormatOption, emit, out, simulation_progress
+from cosim.cli.run import MAIN_CHANNELS, Changes, SeedOption, SetOption, SsvOption, UntilOption, free_folder, prepare
+from cosim.errors import CosimError
+from cosim.recording import read_results
+from cosim.run import Progress
+
+
+def compare(
+    what: Annotated[list[str], typer.Argument(help="One load case to run, or the folders of finished runs.")],
+    dampers: Annotated[str, typer.Option(help="Arrangements to run, the first being the reference.")] = "none,mtmd",
+    seed: SeedOption = None,
+    until: UntilOption = None,
+    set_: SetOption = None,
+    ssv: SsvOption = None,
+    channels: Annotated[str, typer.Option(help="Channels to compare.")] = ",".join(MAIN_CHANNELS),
+    folder: Annotated[Path | None, typer.Option("--out", help="New folder for the results.")] = None,
+    output: FormatOption = Format.TEXT,
+) -> None:
+    """Compare damper arrangements: standard deviations, suppression rates, histories and spectra.
+
+    Given a load case, it runs each arrangement in the same wind and sea first.
+    Example: [bold]fowt compare lc4 --dampers none,tmd-n,tmd-p,mtmd[/bold]
+    """
+    from cosim.cli.plots import plot_comparison
+    from optimisation.evaluation import compare as evaluate
+
+    quiet = output is Format.JSON
+    if all(Path(w).is_dir() for w in what):
+        runs = [Path(w) for w in what]
+        if folder:
+            folder.mkdir(parents=True, exist_ok=True)
+        picture_folder = folder or runs[0].parent
+    elif len(what) == 1:
+        changes = Changes(set=set_ or (), ssv=ssv or (), seed=seed, until=until)
+        runs = _run_all(what[0], [d.strip() for d in dampers.split(",")], changes, folder, quiet)
+        picture_folder = runs[0].parent
+    else:
+        missing = next(w for w in what if not Path(w).is_dir())
+        raise CosimError(f"'{missing}' is no folder of a run; give one load case, or folders only")
+    frames, units, transient = _read(runs)
+    names = [c.strip() for c in channels.split(",")]
+    shown = [n for n in names if all(n in f.columns for f in frames.values())]
+    if not shown:
+        raise CosimError(f"the runs have none of the channels {', '.join(names)} in common")
+    table = evaluate(frames, shown, transient=transient)
+    picture = plot_comparison(frames, shown, units, transient, picture_folder / "comparison.png")
+    if quiet:
+        rows = table.reset_index().to_dict(orient="records")
+        emit({"runs": {label: str(r) for label, r in zip(frames, runs, strict=True)}, "table": rows,
+              "picture": str(picture)})  # fmt: skip
+        return
+    _show(table, list(frames), shown, units)
+    out.print(f"statistics after {transient:g} s; picture: {picture}", soft_wrap=True)
+
+
+def _run_all(name: str, dampers: list[str], changes: Changes, folder: Path | None, quiet: bool) -> list[Path]:
+    """Run each arrangement; two at a time on two cores, since the FMUs run without Python."""
+    case = read_case(name)
+    with simulation_progress(quiet) as progress:
+        prepared = [prepare(case, d, changes, quiet=quiet) for d in dampers]
+        root = folder or free_folder(Path("runs") / f"{case.name}-comparison")
+        tasks = [progress.add_task(p.label, total=p.settings.stop) for p in prepared]
+        stop = threading.Event()
+
+        def follow(task: TaskID) -> Progress:
+            def on_progress(time: float, *_: float) -> None:
+                progress.update(task, completed=time)
+                if stop.is_set():
+                    raise KeyboardInterrupt
+
+            return on_progress
+
+        with ThreadPoolExecutor(max_workers=os.cpu_count() or 1) as pool:
+            jobs = [
+                pool.submit(p.execute, root / d, follow(task))
+                for p, d, task in zip(prepared, dampers, tasks, strict=True)
+            ]
+            try:
+                return [job.result().folder for job in jobs]
+            except BaseException:  # Ctrl-C or a failed run: the others stop too, and keep what they have
+                stop.set()
+                pool.shutdown(wait=True, cancel_futures=True)
+                raise
+
+
+def _read(runs: list[Path]) -> tuple[dict[str, pd.DataFrame], dict[str, str], float]:
+    frames: dict[str, pd.DataFrame] = {}
+    units: dict[str, str] = {}
+    transient = 0.0
+    for run in runs:
+        frame = read_results(run)
+        label = run.name if run.name not in frames else str(run)
+        frames[label] = frame
+        units |= frame.attrs.get("units", {})
+        transient = max(transient, float(json.loads((run / "run.json").read_text())["settings"]["transient"]))
+    return frames, units, transient
+
+
+def _show(table: pd.DataFrame, labels: list[str], channels: list[str], units: dict[str, str]) -> None:
+    reference, *others = labels
+    view = Table("standard deviation", reference, box=None, pad_edge=False)
+    for label in others:
+        view.add_column(label, justify="right")
+        view.add_column("suppression", justify="right", style="bold")
+    for channel in channels:
+        cells = [f"{channel} ({units.get(channel, '')})", f"{table.loc[(channel, reference), 'std']:.4g}"]
+        for label in others:
+            row = table.loc[(channel, label)]
+            cells += [f"{row['std']:.4g}", f"{row['suppression']:.1f} %"]
+        view.add_row(*cells)
+    out.print(view)

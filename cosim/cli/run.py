@@ -1,0 +1,214 @@
+"""`fowt run`: co-simulate one load case."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.table import Table
+
+from cosim.case import LoadCase, Number, qualified, read_case, with_damper
+from cosim.cli.build import build_fmus
+from cosim.cli.console import Format, FormatOption, emit, err, note, out, simulation_progress, warn
+from cosim.errors import CosimError, RunFailed, nearest
+from cosim.recording import read_channels
+from cosim.run import Progress, RunResult, RunSettings, simulate
+from cosim.ssp import read_parameters, read_system
+from cosim.system import System, with_parameters, with_swapped, without
+
+MAIN_CHANNELS = ("PtfmPitch", "TTDspFA", "TwrBsMyt", "RootMyc1", "GenPwr")
+
+SetOption = Annotated[list[str] | None, typer.Option("--set", metavar="COMPONENT.PARAM=VALUE", help="Set a parameter.")]
+SwapOption = Annotated[
+    list[str] | None, typer.Option("--swap", metavar="COMPONENT=FILE.fmu", help="Use another FMU for a component.")
+]
+SsvOption = Annotated[list[Path] | None, typer.Option("--ssv", help="Parameter set file, such as tuned.ssv.")]
+SeedOption = Annotated[int | None, typer.Option(min=0, help="Seed of wind and sea.")]
+UntilOption = Annotated[float | None, typer.Option(metavar="T", help="End of the run, s.")]
+StepOption = Annotated[float | None, typer.Option(metavar="H", help="Communication step, s.")]
+FmusOption = Annotated[Path | None, typer.Option(help="Folder of FMUs to use instead of this package's own.")]
+
+
+@dataclass(frozen=True)
+class Changes:
+    """What the command line changes in a load case."""
+
+    swap: Sequence[str] = ()
+    set: Sequence[str] = ()
+    ssv: Sequence[Path] = ()
+    seed: int | None = None
+    until: float | None = None
+    step: float | None = None
+    fmus: Path | None = None
+    record: Sequence[str] = ()
+    algorithm: str | None = None
+    extrapolation: str | None = None
+
+
+def run(
+    case: Annotated[str, typer.Argument(help="Load case: a name ('fowt list') or a .toml file.")],
+    damper: Annotated[str | None, typer.Option(help="Damper arrangement: none, tmd-n, tmd-p, mtmd.")] = None,
+    swap: SwapOption = None,
+    set_: SetOption = None,
+    ssv: SsvOption = None,
+    seed: SeedOption = None,
+    until: UntilOption = None,
+    step: StepOption = None,
+    folder: Annotated[Path | None, typer.Option("--out", help="New folder for the results.")] = None,
+    fmus: FmusOption = None,
+    record: Annotated[list[str] | None, typer.Option(help="Record variables too, by pattern: 'barge.hub.*'.")] = None,
+    algorithm: Annotated[str | None, typer.Option(help="gauss-seidel (default) or jacobi.")] = None,
+    extrapolation: Annotated[str | None, typer.Option(help="linear (default) or held.")] = None,
+    output: FormatOption = Format.TEXT,
+) -> None:
+    """Co-simulate a load case and write results.parquet, summary.json, run.json and run.png.
+
+    Example: [bold]fowt run lc4 --damper mtmd --set nacelle_damper.k=6302 --seed 2[/bold]
+    """
+    changes = Changes(
+        swap or (), set_ or (), ssv or (), seed, until, step, fmus, record or (), algorithm, extrapolation
+    )
+    chosen = read_case(case)
+    quiet = output is Format.JSON
+    with simulation_progress(quiet) as progress:
+        prepared = prepare(chosen, damper, changes, quiet=quiet)
+        task = progress.add_task(prepared.label, total=prepared.settings.stop)
+        result = prepared.execute(folder, lambda t, *_: progress.update(task, completed=t))
+    if output is Format.JSON:
+        emit({"folder": str(result.folder), "status": result.status, "summary": result.summary})
+    else:
+        _show(result)
+    if result.status == "stopped":
+        warn(result.message)
+        raise typer.Exit(130)
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A run ready to start."""
+
+    label: str
+    system: System
+    settings: RunSettings
+    usual_step: float
+
+    def execute(self, folder: Path | None, progress: Progress) -> RunResult:
+        """Simulate into the folder (default: a new one below ./runs) and draw the run."""
+        from cosim.cli.plots import plot_run
+
+        target = folder or free_folder(Path("runs") / self.label)
+        try:
+            result = simulate(self.system, self.settings, target, progress)
+        except RunFailed as error:
+            coarse = self.settings.step > self.usual_step
+            hint = f"; the step is larger than the case's {self.usual_step:g} s: try that" if coarse else ""
+            raise RunFailed(f"{error}{hint} (what was computed is in {target})") from error
+        for line in result.warnings:
+            (note if line.startswith("algebraic loop") else warn)(line)
+        plot_run(result.folder, self.label)
+        return result
+
+
+def prepare(case: LoadCase, damper: str | None, changes: Changes, *, quiet: bool = False) -> Prepared:
+    """Build what is missing, make the wind, and put the system together.
+
+    Raises:
+        CosimError: a name in the changes is unknown, or a file cannot be used.
+    """
+    name = damper or case.damper
+    if name not in case.dampers:
+        raise CosimError(f"no damper arrangement '{name}'{nearest(name, case.dampers)}")
+    arrangement = case.dampers[name]
+    folders = [changes.fmus] if changes.fmus else [next(iter(build_fmus(quiet=quiet).values())).parent]
+    system = read_system(arrangement.system or case.system, folders)
+    system = without(with_damper(system, arrangement), *case.without)
+    seed = case.seed if changes.seed is None else changes.seed
+    values: dict[str, Number] = dict(case.parameters) | dict.fromkeys(case.seed_parameters, seed)
+    present = {c.name for c in system.components}
+    if case.wind and case.wind.parameter.split(".")[0] in present:
+        values[case.wind.parameter] = str(_wind_file(case, seed, changes.until or case.stop, quiet))
+    system = with_parameters(system, {n: v for n, v in values.items() if n.split(".")[0] in present})
+    for item in changes.swap:
+        component, replacement = _pair(item, "--swap", "COMPONENT=FILE.fmu")
+        system = with_swapped(system, component, Path(replacement))
+    for file in changes.ssv:
+        system = with_parameters(system, qualified(read_parameters(file), arrangement, system))
+    given = dict(_pair(item, "--set", "COMPONENT.PARAM=VALUE") for item in changes.set)
+    system = with_parameters(system, {n: _value(text) for n, text in given.items()})
+    label = f"{case.name}-{name}" + (f"-seed{seed}" if case.seed_parameters else "")
+    return Prepared(label, system, _settings(case, changes), case.step)
+
+
+def _settings(case: LoadCase, changes: Changes) -> RunSettings:
+    stop = case.stop if changes.until is None else changes.until
+    transient = case.transient if stop > case.transient else 0.0
+    settings = RunSettings(
+        stop=stop,
+        step=case.step if changes.step is None else changes.step,
+        transient=transient,
+        decimation=case.record_every,
+        channels=read_channels(case.channels),
+        record=tuple(changes.record),
+    )
+    chosen = {"algorithm": changes.algorithm, "extrapolation": changes.extrapolation}
+    return replace(settings, **{k: v for k, v in chosen.items() if v is not None})  # type: ignore[arg-type]
+
+
+def _wind_file(case: LoadCase, seed: int, stop: float, quiet: bool) -> Path:
+    """The case's wind box, generated once; it always spans the whole case, so that a shorter run sees the same wind."""
+    from platformdirs import user_cache_path
+
+    from fmus_src.aero.turbulence import TurbulenceSpec, cached_box
+
+    assert case.wind is not None
+    duration = max(case.stop, stop)
+    spec = TurbulenceSpec(
+        mean_speed=case.wind.mean_speed, turbulence_class=case.wind.turbulence_class, seed=seed, duration=duration
+    )
+    with err.status("generating the turbulent wind") if not quiet else _nothing():
+        return cached_box(spec, user_cache_path("fowt-cosim") / "wind")
+
+
+class _nothing:
+    def __enter__(self) -> None: ...
+
+    def __exit__(self, *details: object) -> None: ...
+
+
+def _pair(item: str, option: str, form: str) -> tuple[str, str]:
+    name, equals, value = item.partition("=")
+    if not (name and equals and value):
+        raise CosimError(f"{option} {item}: write it as {form}")
+    return name, value
+
+
+def _value(text: str) -> Number:
+    if text.lower() in ("true", "false"):
+        return text.lower() == "true"
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return text
+
+
+def free_folder(wanted: Path) -> Path:
+    """The folder, or the first of wanted-2, wanted-3, ... that does not exist: a run never clears anything."""
+    candidates = itertools.chain([wanted], (wanted.with_name(f"{wanted.name}-{i}") for i in itertools.count(2)))
+    return next(c for c in candidates if not c.exists())
+
+
+def _show(result: RunResult) -> None:
+    if not result.summary:
+        out.print(f"nothing recorded after the transient; {result.folder}")
+        return
+    table = Table("channel", "unit", "mean", "std", "min", "max", box=None, pad_edge=False)
+    for name, s in result.summary.items():
+        table.add_row(name, s["unit"], *(f"{s[k]:.4g}" for k in ("mean", "std", "min", "max")))
+    out.print(table)
+    out.print(f"{result.status}: {result.folder} ({result.wall_time:.1f} s of wall time)")

@@ -1,0 +1,299 @@
+"""Run a system: `simulate(system, settings, folder)`."""
+
+from __future__ import annotations
+
+import math
+import signal
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Literal
+
+import fmpy
+import pandas as pd
+
+from cosim.checks import CheckedSystem, check
+from cosim.errors import CosimError, RunFailed
+from cosim.fmu import Instance
+from cosim.graph import algebraic_loops, step_order
+from cosim.plan import Algorithm, Extrapolation, Stepper, lay_out
+from cosim.recording import (
+    Channel,
+    Recorder,
+    SelectedChannel,
+    new_folder,
+    read_results,
+    select_channels,
+    versions,
+    write_json,
+)
+from cosim.system import System
+
+BLOCK_WALL = 0.2  # s between looks at progress and Ctrl-C
+BLOCK_SIMULATED = 2.0  # s
+Progress = Callable[[float], None]
+
+
+@dataclass(frozen=True)
+class RunSettings:
+    """How to run.
+
+    Attributes:
+        stop, start: s. step: communication step, s; stop - start is a multiple of it.
+        algorithm: "gauss-seidel" (each component sees what those before it have reached) or "jacobi".
+        extrapolation: inputs "linear" over the step, or "held". Held inputs damp negatively: a force held over the
+            step costs a mode omega * step / 4 of its damping ratio (Gauss-Seidel), three times that with Jacobi.
+        order: components to advance first.
+        channels, record: what to record, see `select_channels`; every `decimation`-th step.
+        transient: time left out of the statistics, s.
+    """
+
+    stop: float
+    start: float = 0.0
+    step: float = 0.0125
+    algorithm: Algorithm = "gauss-seidel"
+    extrapolation: Extrapolation = "linear"
+    order: tuple[str, ...] = ()
+    channels: tuple[Channel, ...] = ()
+    record: tuple[str, ...] = ()
+    decimation: int = 1
+    transient: float = 0.0
+
+    def steps(self) -> int:
+        """Number of steps.
+
+        Raises:
+            CosimError: a setting is out of range.
+        """
+        if not (math.isfinite(self.start) and math.isfinite(self.stop) and self.stop > self.start):
+            raise CosimError(f"stop {self.stop:g} s must be after start {self.start:g} s")
+        if not (math.isfinite(self.step) and self.step > 0.0):
+            raise CosimError(f"step {self.step:g} s must be positive")
+        if self.decimation < 1:
+            raise CosimError(f"decimation {self.decimation} must be 1 or more")
+        if not 0.0 <= self.transient < self.stop - self.start:
+            raise CosimError(
+                f"transient {self.transient:g} s leaves nothing of {self.stop - self.start:g} s; shorten it"
+            )
+        if self.algorithm not in ("gauss-seidel", "jacobi") or self.extrapolation not in ("linear", "held"):
+            raise CosimError(
+                f"algorithm '{self.algorithm}' with extrapolation '{self.extrapolation}':"
+                " choose gauss-seidel or jacobi, linear or held"
+            )
+        exact = (self.stop - self.start) / self.step
+        steps = round(exact)
+        if steps < 1 or abs(exact - steps) > 1e-6:
+            ends = " or ".join(f"{self.start + n * self.step:.10g}" for n in (max(1, int(exact)), int(exact) + 1))
+            raise CosimError(f"stop {self.stop:g} s is not a whole number of steps of {self.step:g} s; use {ends}")
+        return steps
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """What a run gave; `status` is "completed" or "stopped" (by Ctrl-C).
+
+    Attributes:
+        time: reached, s. wall_time: of the whole run, s.
+        last: last recorded values by channel. summary: statistics after the transient.
+        component_seconds: wall time of each component.
+    """
+
+    folder: Path
+    status: Literal["completed", "stopped"]
+    message: str
+    time: float
+    steps: int
+    wall_time: float
+    component_seconds: dict[str, float] = field(repr=False)
+    warnings: tuple[str, ...] = field(repr=False)
+    summary: dict[str, dict[str, Any]] = field(repr=False)
+    last: dict[str, float] = field(repr=False)
+
+    def frame(self) -> pd.DataFrame:
+        """All recorded channels, indexed by time (s)."""
+        return read_results(self.folder)
+
+
+def simulate(system: System, settings: RunSettings, folder: Path, progress: Progress | None = None) -> RunResult:
+    """Run a system into a new folder: results.parquet, summary.json and run.json.
+
+    Args:
+        folder: to be created; one that exists must be empty (nothing is ever deleted).
+        progress: called a few times a second with the time reached, s.
+
+    Raises:
+        CosimError: the system or a setting cannot be used; nothing was run.
+        RunFailed: the run broke off; what was computed until then is in the folder.
+    """
+    steps = settings.steps()
+    checked = check(system)
+    channels, missing = select_channels(checked, settings.channels, settings.record)
+    loops = [f"algebraic loop, its values extrapolated over each step: {path}" for path in algebraic_loops(checked)]
+    order = step_order(checked, settings.order)
+    run = _Run(settings, checked, channels, order, [*checked.warnings, *missing, *loops], new_folder(folder))
+    try:
+        return run.execute(steps, progress)
+    except BaseException as error:
+        with suppress(OSError):  # where the disk is full, the error itself is what matters
+            run.write(
+                "stopped" if isinstance(error, KeyboardInterrupt) else "failed", str(error) or type(error).__name__
+            )
+        if isinstance(error, OSError):
+            raise RunFailed(
+                f"{folder}: writing failed: {error.strerror or error}; free disk space or choose another"
+            ) from error
+        raise
+
+
+@contextmanager
+def _interrupt_flag() -> Iterator[list[bool]]:
+    """A flag that the first Ctrl-C sets; the second interrupts as usual. Other threads keep the usual way."""
+    flag: list[bool] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield flag
+        return
+    previous = signal.getsignal(signal.SIGINT) or signal.SIG_DFL
+
+    def on_interrupt(number: int, frame: Any) -> None:
+        flag.append(True)
+        signal.signal(signal.SIGINT, previous)
+
+    signal.signal(signal.SIGINT, on_interrupt)
+    try:
+        yield flag
+    finally:
+        signal.signal(signal.SIGINT, previous)
+
+
+class _Run:
+    """One run: the FMU instances, the stepping and what is written about it."""
+
+    def __init__(
+        self,
+        settings: RunSettings,
+        checked: CheckedSystem,
+        channels: Sequence[SelectedChannel],
+        order: tuple[int, ...],
+        warnings: list[str],
+        folder: Path,
+    ) -> None:
+        self.settings, self.checked, self.channels, self.order = settings, checked, channels, order
+        self.warnings, self.folder = warnings, folder
+        self.began = time.perf_counter()
+        self.started_at = datetime.now(UTC).isoformat(timespec="seconds")
+        self.stepper: Stepper | None = None
+        self.passes = 0
+
+    def execute(self, steps: int, progress: Progress | None) -> RunResult:
+        self.write("running", "")
+        s = self.settings
+        with ExitStack() as stack:
+            unpacked = Path(
+                stack.enter_context(tempfile.TemporaryDirectory(prefix="fowt-", ignore_cleanup_errors=True))
+            )
+            recorder = Recorder(self.folder, self.channels, s.start + s.transient)
+            with ExitStack() as always:
+                always.callback(recorder.close)
+                instances = self._instantiate(unpacked, stack)
+                layout = lay_out(self.checked, self.order, self.channels, s.algorithm, s.extrapolation)
+                self.stepper = stepper = Stepper(layout, instances, s.start, s.step, s.decimation)
+                self._initialise(stepper, instances)
+                with _interrupt_flag() as interrupted:
+                    always.callback(lambda: recorder.add(stepper.take_rows()))  # before the recorder closes
+                    self._loop(stepper, recorder, steps, progress, interrupted)
+            status: Literal["completed", "stopped"] = "completed" if stepper.plan.steps_done == steps else "stopped"
+            for instance in instances:
+                instance.free(terminate=True)
+        message = "" if status == "completed" else (
+            f"stopped by the user at t = {stepper.time:.6g} s of {s.stop:g} s; results until then are in {self.folder}"
+        )  # fmt: skip
+        self._keep_messages(instances)
+        summary = recorder.summary()
+        write_json(self.folder / "summary.json", summary)
+        self.write(status, message)
+        last = dict(zip((c.name for c in self.channels), recorder.last[1:].tolist(), strict=True))
+        return RunResult(
+            self.folder, status, message, stepper.time, int(stepper.plan.steps_done),
+            time.perf_counter() - self.began, stepper.seconds(), tuple(self.warnings), summary, last,
+        )  # fmt: skip
+
+    def _instantiate(self, unpacked: Path, stack: ExitStack) -> list[Instance]:
+        folders: dict[Path, Path] = {}
+        instances = []
+        for name, fmu in zip(self.checked.names, self.checked.fmus, strict=True):
+            if fmu.path not in folders:
+                folders[fmu.path] = Path(fmpy.extract(str(fmu.path), str(unpacked / str(len(folders)))))
+            instances.append(Instance(name, fmu, folders[fmu.path], self.settings.start))
+            stack.callback(instances[-1].free, False)
+        return instances
+
+    def _initialise(self, stepper: Stepper, instances: Sequence[Instance]) -> None:
+        for instance, start in zip(instances, self.checked.start, strict=True):
+            instance.set(start)
+            instance.enter_initialisation()
+        self.passes, warning = stepper.initialise()
+        if warning:
+            self.warnings.append(warning)
+        for instance in instances:
+            instance.exit_initialisation()
+        stepper.begin()
+
+    def _loop(
+        self, stepper: Stepper, recorder: Recorder, steps: int, progress: Progress | None, interrupted: list[bool]
+    ) -> None:
+        largest = max(1, round(BLOCK_SIMULATED / self.settings.step))
+        count, done = 1, 0
+        while done < steps and not interrupted:
+            count = min(count, largest, stepper.capacity(), steps - done)
+            before = time.perf_counter()
+            try:
+                stepper.advance(count)
+            except KeyboardInterrupt:  # outside the main thread's flag, such as a second Ctrl-C
+                interrupted.append(True)
+            taken = time.perf_counter() - before
+            recorder.add(stepper.take_rows())
+            done = int(stepper.plan.steps_done)
+            count = max(1, min(2 * count, int(count * BLOCK_WALL / max(taken, 1e-6))))
+            if progress is not None:
+                progress(stepper.time)
+
+    def _keep_messages(self, instances: Sequence[Instance]) -> None:
+        for instance in instances:
+            texts = dict.fromkeys(text for _, text in instance.log.lines())
+            self.warnings += [f"{instance.name}: {text}" for text in texts]
+
+    def write(self, status: str, message: str) -> None:
+        """Write run.json: everything needed to know what this run was, and to repeat it."""
+        components = {
+            name: {
+                "fmu": str(fmu.path), "sha256": fmu.sha256, "guid": fmu.guid, "generator": fmu.generator,
+                "start": dict(start),
+            }
+            for name, fmu, start in zip(self.checked.names, self.checked.fmus, self.checked.start, strict=True)
+        }  # fmt: skip
+        settings = asdict(self.settings) | {"channels": [c.name for c in self.channels]}
+        content = {
+            "status": status,
+            "message": message,
+            "system": self.checked.name,
+            "started": self.started_at,
+            "wall_time": time.perf_counter() - self.began,
+            "time_reached": self.stepper.time if self.stepper else self.settings.start,
+            "steps_done": int(self.stepper.plan.steps_done) if self.stepper else 0,
+            "component_seconds": self.stepper.seconds() if self.stepper else {},
+            "initialisation_passes": self.passes,
+            "settings": settings | {"order": [self.checked.names[k] for k in self.order]},
+            "components": components,
+            "connections": [
+                f"{self.checked.names[k.source]}.{k.output.name} -> {self.checked.names[k.target]}.{k.input.name}"
+                for k in self.checked.links
+            ],
+            "warnings": self.warnings,
+            "versions": versions(),
+        }
+        write_json(self.folder / "run.json", content)

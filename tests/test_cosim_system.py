@@ -1,0 +1,275 @@
+"""Systems from SSP files, changes to them, and the checks before a run: each mistake is one clear line."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from cosim.checks import check
+from cosim.errors import CosimError
+from cosim.fmu import read_fmu
+from cosim.graph import algebraic_loops, step_order
+from cosim.ssp import read_parameters, read_system
+from cosim.system import (
+    ComponentInstance,
+    Connection,
+    StartValue,
+    System,
+    Value,
+    with_parameters,
+    with_swapped,
+    without,
+)
+from fmus_src.component import Component
+
+from .cosim_fmus import carried, mass, probe, two_masses
+
+SSP = "http://ssp-standard.org/SSP1/SystemStructure"
+NAMESPACES = (
+    f'xmlns:ssd="{SSP}Description" xmlns:ssc="{SSP}Common" xmlns:ssv="{SSP}ParameterValues" version="1.0" name="x"'
+)
+PARAMETERS = f"""<ssv:ParameterSet {NAMESPACES}><ssv:Parameters>{{}}</ssv:Parameters>
+<ssv:Units><ssc:Unit name="lb"><ssc:BaseUnit kg="1" factor="0.45359237"/></ssc:Unit></ssv:Units></ssv:ParameterSet>"""
+
+
+def real(name: str, value: float, unit: str = "") -> str:
+    attribute = f'unit="{unit}"' if unit else ""
+    return f'<ssv:Parameter name="{name}"><ssv:Real value="{value}" {attribute}/></ssv:Parameter>'
+
+
+@pytest.fixture(scope="module")
+def fmus(fmu_folder: Path, built: Callable[[Component], Path]) -> dict[str, Path]:
+    return {"mass": built(mass()), "carried": built(carried()), "probe": probe(fmu_folder)}
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Callable[..., Path]:
+    def write(body: str = "", bindings: str = "", inner: str = "", elements: str = "", head: str = "") -> Path:
+        """An SSD with a probe each as `a` (with bindings `inner`) and `b`."""
+        components = elements or (
+            f'<ssd:Component name="a" source="resources/probe.fmu">{inner}</ssd:Component>'
+            '<ssd:Component name="b" source="probe.fmu"/>'
+        )
+        text = (
+            f'<?xml version="1.0"?>{head}<ssd:SystemStructureDescription {NAMESPACES}><ssd:System name="s">{bindings}'
+            f"<ssd:Elements>{components}</ssd:Elements><ssd:Connections>{body}</ssd:Connections></ssd:System>"
+            "</ssd:SystemStructureDescription>"
+        )
+        (tmp_path / "system.ssd").write_text(text)
+        return tmp_path / "system.ssd"
+
+    return write
+
+
+def connection(start: str = "a", output: str = "through", end: str = "b", inner: str = "", more: str = "") -> str:
+    return (
+        f'<ssd:Connection startElement="{start}" startConnector="{output}" endElement="{end}" endConnector="u" {more}>'
+        f"{inner}</ssd:Connection>"
+    )
+
+
+def binding(inside: str = "", attributes: str = "") -> str:
+    one = f"<ssd:ParameterBinding {attributes}>{inside}</ssd:ParameterBinding>"
+    return f"<ssd:ParameterBindings>{one}</ssd:ParameterBindings>"
+
+
+def inline(parameters: str) -> str:
+    return f"<ssd:ParameterValues>{PARAMETERS.format(parameters)}</ssd:ParameterValues>"
+
+
+def test_a_system_is_read_with_parameters_inline_and_in_files(
+    write: Callable[..., Path], fmus: dict[str, Path], tmp_path: Path
+) -> None:
+    """The set bound to the system wins over the component's; units are converted to the FMU's."""
+    (tmp_path / "wind.bts").write_text("wind")
+    (tmp_path / "set.ssv").write_text(
+        PARAMETERS.format(
+            real("slope", 3.0) + '<ssv:Parameter name="label"><ssv:String value="wind.bts"/></ssv:Parameter>'
+        )
+    )
+    ssd = write(
+        connection(inner='<ssc:LinearTransformation factor="2" offset="1"/>', more='suppressUnitConversion="true"'),
+        bindings=binding(inline(real("a.mass", 2.0, "lb") + real("a.slope", 4.0))),
+        inner=binding(attributes='source="set.ssv"'),
+    )
+    system = read_system(ssd, [fmus["probe"].parent])
+    assert [c.fmu for c in system.components] == [fmus["probe"]] * 2
+    checked = check(system)
+    label = str((tmp_path / "wind.bts").resolve())
+    assert checked.start[0]["mass"] == pytest.approx(0.90718474, rel=1e-15)
+    assert (checked.start[0]["slope"], checked.start[0]["label"]) == (4.0, label)
+    assert (checked.links[0].factor, checked.links[0].offset) == (2.0, 1.0)
+
+
+def test_the_ssps_of_another_writer_are_read(fmus: dict[str, Path], tmp_path: Path) -> None:
+    """A parameter set and a structure written by pyssp_standard."""
+    from pyssp_standard.ssv import SSV
+
+    with SSV(tmp_path / "other.ssv", "w") as ssv:
+        ssv.add_parameter("a.mass", "Real", value=500.0, unit="g")
+        ssv.add_unit("g", {"kg": "1", "factor": "0.001"})
+    values = read_parameters(tmp_path / "other.ssv")
+    system = with_parameters(System("s", (ComponentInstance("a", fmus["probe"]),)), values)
+    assert check(system).start[0]["mass"] == pytest.approx(0.5, rel=1e-15)
+
+
+DTD = '<!DOCTYPE x [<!ENTITY e SYSTEM "file:///etc/hostname">]>'
+BAD_FILES = [
+    ({"elements": '<ssd:Component name="a" source="none.fmu"/>'}, r"component 'a': none.fmu is not in .*build it"),
+    ({"elements": '<ssd:Component name="a"/>'}, "component 'a' has no source"),
+    ({"elements": '<ssd:System name="inner"/>'}, "System 'inner' is not supported"),
+    ({"elements": '<ssd:Component name="a" source="probe.fmu"/>' * 2}, "component 'a' appears twice"),
+    ({"inner": binding(attributes='source="lost.ssv"')}, r"lost.ssv: cannot be read \(no such file\)"),
+    ({"inner": binding("<ssd:ParameterMapping/>")}, "ParameterMapping is not supported"),
+    ({"inner": binding(attributes='source="x.ssv" sourceBase="component"')}, "sourceBase='component' is not supported"),
+    ({"inner": binding(inline(real("mass", 1.0, "furlong")))}, "parameter 'mass' = '1.0': unknown unit 'furlong'"),
+    ({"bindings": binding(inline(real("c.mass", 1.0)))}, "'c.mass': no component 'c'"),
+    ({"body": connection(inner='<ssc:IntegerMappingTransformation/>')}, "only LinearTransformation is"),
+    ({"head": DTD}, "declares a document type; remove it"),
+    ({"elements": "<open>"}, "cannot be read"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("parts", "words"), BAD_FILES)
+def test_bad_files_are_refused(
+    write: Callable[..., Path], fmus: dict[str, Path], parts: dict[str, str], words: str
+) -> None:
+    with pytest.raises(CosimError, match=words) as refused:
+        read_system(write(**parts), [fmus["probe"].parent])
+    assert "\n" not in str(refused.value)
+
+
+def test_the_systems_own_connectors_are_noted(write: Callable[..., Path], fmus: dict[str, Path]) -> None:
+    loose = '<ssd:Connection startElement="a" startConnector="through" endConnector="y"/>'
+    system = read_system(write(loose), [fmus["probe"].parent])
+    assert system.connections == ()
+    assert "a.through" in system.notes[0]
+
+
+def wired(fmus: dict[str, Path], *connections: Connection, **start: Value) -> System:
+    values = {n: StartValue(v) for n, v in start.items()}
+    components = (
+        ComponentInstance("m", fmus["mass"]),
+        ComponentInstance("p", fmus["probe"], values),
+        ComponentInstance("c", fmus["carried"]),
+    )
+    return System("s", components, connections)
+
+
+BAD_CONNECTIONS = [
+    (Connection("x", "position", "p", "u"), "no component 'x'"),
+    (Connection("m", "positon", "p", "u"), "did you mean 'position'"),
+    (Connection("m", "position", "p", "you"), "p: no variable 'you' in probe.fmu"),
+    (Connection("m", "force", "p", "u"), "force is no output but input; connect an output"),
+    (Connection("m", "position", "p", "integral"), "integral is no input but output; connect to an input"),
+    (Connection("m", "position", "p", "u"), "unit 'm' cannot be converted to 'deg'"),
+    (Connection("m", "position", "p", "gate"), "Real cannot feed Boolean"),
+    (Connection("p", "open", "p", "count"), "Boolean cannot feed Integer"),
+    (Connection("p", "label", "p", "u"), "text cannot be connected"),
+]
+
+
+@pytest.mark.parametrize(("bad", "words"), BAD_CONNECTIONS)
+def test_bad_connections_are_refused(fmus: dict[str, Path], bad: Connection, words: str) -> None:
+    with pytest.raises(CosimError) as refused:
+        check(wired(fmus, bad))
+    assert words in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_two_sources_of_one_input_are_refused(fmus: dict[str, Path]) -> None:
+    twice = (Connection("m", "position", "c", "point"), Connection("c", "position", "c", "point"))
+    with pytest.raises(CosimError, match=r"c.point has two sources: m.position -> c.point and c.position -> c.point"):
+        check(wired(fmus, *twice))
+
+
+BAD_VALUES = [
+    ({"masss": 1.0}, "p: no variable 'masss' in probe.fmu; did you mean 'mass'?"),
+    ({"mass": 11.0}, "p.mass = 11.0: 11 kg is above its maximum 10"),
+    ({"mass": -1.0}, "p.mass = -1.0: -1 kg is below its minimum 0"),
+    ({"mass": math.inf}, "p.mass = inf: is not finite"),
+    ({"mass": "heavy"}, "p.mass = heavy: is no Real"),
+    ({"fail_status": 1.5}, "p.fail_status = 1.5: is no Integer"),
+    ({"gate": 2}, "p.gate = 2: is no Boolean"),
+    ({"label": 3}, "p.label = 3: is no String"),
+    ({"through": 3.0}, "p.through = 3.0: is output and cannot be set"),
+]
+
+
+@pytest.mark.parametrize(("start", "words"), BAD_VALUES)
+def test_bad_start_values_are_refused(fmus: dict[str, Path], start: dict[str, Value], words: str) -> None:
+    with pytest.raises(CosimError) as refused:
+        check(wired(fmus, **start))
+    assert words in str(refused.value)
+
+
+def test_changes_leave_the_original_alone(fmus: dict[str, Path]) -> None:
+    system = two_masses(fmus["mass"], fmus["carried"])
+    assert [c.name for c in without(system, "damper").components] == ["structure"]
+    assert without(system, "damper").connections == ()
+    tuned = with_parameters(system, {"damper.k": 4.0})
+    assert check(tuned).start[1]["k"] == 4.0
+    swapped = with_swapped(tuned, "damper", fmus["probe"])
+    assert swapped.component("damper").fmu == fmus["probe"]
+    assert swapped.notes == ("damper: probe.fmu has no k, m, x_0: left out of its start values",)
+    assert "k" not in system.component("damper").start
+    for change in (lambda: without(system, "dampr"), lambda: with_swapped(system, "dampr", fmus["probe"])):
+        with pytest.raises(CosimError, match="no component 'dampr'; did you mean 'damper'"):
+            change()
+
+
+def test_unconnected_inputs_are_listed_with_their_values(fmus: dict[str, Path]) -> None:
+    warnings = check(wired(fmus, Connection("m", "position", "c", "point"), u=3.0)).warnings
+    assert "p: not connected, start value used: u = 3.0, count = 0, gate = false" in warnings
+    assert not any(w.startswith("c:") for w in warnings)
+
+
+def test_the_structure_goes_first_and_no_loop_is_claimed(fmus: dict[str, Path]) -> None:
+    """Whatever the order in the file: the damper's force follows the structure's position directly, not vice versa."""
+    system = two_masses(fmus["mass"], fmus["carried"])
+    backwards = System("s", system.components[::-1], system.connections)
+    assert step_order(check(system)) == (0, 1)
+    assert step_order(check(backwards)) == (1, 0)
+    assert step_order(check(backwards), ["damper"]) == (0, 1)
+    assert algebraic_loops(check(system)) == []
+
+
+def test_a_loop_through_one_component_is_found(fmus: dict[str, Path]) -> None:
+    checked = check(wired(fmus, Connection("p", "through", "p", "u")))
+    assert algebraic_loops(checked) in (["p.through -> p.u -> p.through"], ["p.u -> p.through -> p.u"])
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda p: None, "No such file or directory; build it"),
+        (lambda p: p.write_bytes(b"not a zip"), "cannot be read"),
+        (lambda p: _archive(p, 'fmiVersion="3.0" modelName="x" instantiationToken="x"'), "cannot be read|is FMI 3.0"),
+        (lambda p: _archive(p, 'fmiVersion="2.0" modelName="x" guid="x"', "<ModelExchange modelIdentifier='x'/>"),
+         "is model exchange; export it as FMI 2.0 for co-simulation"),
+        (lambda p: _archive(p, 'fmiVersion="2.0" modelName="x" guid="x"', "<CoSimulation modelIdentifier='x'/>"),
+         "has no binaries/.*; build it for this platform"),
+    ],
+)  # fmt: skip
+def test_unusable_fmus_are_refused(tmp_path: Path, make: Callable[[Path], None], words: str) -> None:
+    path = tmp_path / "bad.fmu"
+    make(path)
+    with pytest.raises(CosimError, match=words) as refused:
+        read_fmu(path)
+    assert str(path) in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def _archive(path: Path, attributes: str, kind: str = "") -> None:
+    import zipfile
+
+    text = (
+        f"<fmiModelDescription {attributes}>{kind}<ModelVariables>"
+        '<ScalarVariable name="y" valueReference="0"><Real/></ScalarVariable>'
+        "</ModelVariables><ModelStructure/></fmiModelDescription>"
+    )
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("modelDescription.xml", text)
