@@ -92,12 +92,16 @@ def derive(component: Component) -> Equations:
             free = [line for line in str(error).splitlines() if "free" in line] or [str(error).splitlines()[-1]]
             raise ValueError(f"{component.name}: {name} uses undeclared symbols: {free[0].strip()}") from error
 
-    def directional(expression: Any) -> Any:
-        total: Any = sym.zeros(expression.numel(), 1)
-        for symbol, seed in zip((x, u, w), seeds, strict=True):
-            if symbol.numel() and expression.numel():
-                total += ca.jtimes(expression, symbol, seed)
-        return ca.densify(total)
+    def directional(name: str, outputs: list[Any]) -> ca.Function:
+        """Derivatives of outputs along a direction of x, u and w, in one forward sweep."""
+        plain = function("plain", arguments, outputs)
+        direction = [sym.zeros(a.shape) for a in arguments]
+        for key, seed in zip("xuw", seeds, strict=True):
+            direction[STATE_INPUTS.index(key)] = seed
+        values = [sym.zeros(o.shape) for o in outputs]  # not used by a sweep that has the arguments
+        along = plain.forward(1)(*arguments, *values, *direction)
+        results = list(along) if isinstance(along, (tuple, list)) else [along]
+        return function(name, [*arguments, *seeds], [ca.densify(r) for r in results])
 
     rate, following = column(component.rates("state")), column(component.rates("sampled_state"))
     y = column(groups["output"].expressions)
@@ -118,11 +122,8 @@ def derive(component: Component) -> Equations:
         outputs=function("outputs", arguments, [y]),
         update=function("update", arguments, [following]),
         lookup_arguments=tuple(function(f"lookup{i}", arguments, [a]) for i, a in enumerate(lookup_arguments)),
-        forward=function("forward", [*arguments, *seeds], [directional(rate), directional(y)]),
-        lookup_forward=tuple(
-            function(f"lookup{i}_forward", [*arguments, *seeds], [directional(a)])
-            for i, a in enumerate(lookup_arguments)
-        ),
+        forward=directional("forward", [rate, y]),
+        lookup_forward=tuple(directional(f"lookup{i}_forward", [a]) for i, a in enumerate(lookup_arguments)),
     )
 
 
