@@ -99,7 +99,7 @@ def derive(component: Component) -> Equations:
         for key, seed in zip("xuw", seeds, strict=True):
             direction[STATE_INPUTS.index(key)] = seed
         values = [sym.zeros(o.shape) for o in outputs]  # not used by a sweep that has the arguments
-        along = plain.forward(1)(*arguments, *values, *direction)
+        along: Any = plain.forward(1)(*arguments, *values, *direction)
         results = list(along) if isinstance(along, (tuple, list)) else [along]
         return function(name, [*arguments, *seeds], [ca.densify(r) for r in results])
 

@@ -15,7 +15,7 @@ from rich.progress import TaskID
 from rich.table import Table
 
 from cosim.case import read_case
-from cosim.cli.console import Format, FormatOption, emit, out, simulation_progress
+from cosim.cli.console import Format, FormatOption, emit, number, out, simulation_progress, warn
 from cosim.cli.run import MAIN_CHANNELS, Changes, SeedOption, SetOption, SsvOption, UntilOption, free_folder, prepare
 from cosim.errors import CosimError
 from cosim.recording import read_results
@@ -42,8 +42,8 @@ def compare(
     from optimisation.evaluation import compare as evaluate
 
     quiet = output is Format.JSON
-    if all(Path(w).is_dir() for w in what):
-        runs = [Path(w) for w in what]
+    runs = [Path(w) for w in what if Path(w).is_dir()]
+    if runs and all(Path(w).exists() for w in what):  # a shell's * also names the pictures beside the runs
         if folder:
             folder.mkdir(parents=True, exist_ok=True)
         picture_folder = folder or runs[0].parent
@@ -59,11 +59,13 @@ def compare(
     shown = [n for n in names if all(n in f.columns for f in frames.values())]
     if not shown:
         raise CosimError(f"the runs have none of the channels {', '.join(names)} in common")
+    # The undamped run is the reference wherever it stands, since a shell lists folders by name.
+    frames = {label: frames[label] for label in sorted(frames, key=lambda label: label != "none")}
     table = evaluate(frames, shown, transient=transient)
     picture = plot_comparison(frames, shown, units, transient, picture_folder / "comparison.png")
     if quiet:
         rows = table.reset_index().to_dict(orient="records")
-        emit({"runs": {label: str(r) for label, r in zip(frames, runs, strict=True)}, "table": rows,
+        emit({"runs": [str(r) for r in runs], "table": rows,
               "picture": str(picture)})  # fmt: skip
         return
     _show(table, list(frames), shown, units)
@@ -93,11 +95,14 @@ def _run_all(name: str, dampers: list[str], changes: Changes, folder: Path | Non
                 for p, d, task in zip(prepared, dampers, tasks, strict=True)
             ]
             try:
-                return [job.result().folder for job in jobs]
+                results = [job.result() for job in jobs]
             except BaseException:  # Ctrl-C or a failed run: the others stop too, and keep what they have
                 stop.set()
                 pool.shutdown(wait=True, cancel_futures=True)
                 raise
+    for line in dict.fromkeys(w for r in results for w in r.warnings if not w.startswith("algebraic loop")):
+        warn(line)
+    return [r.folder for r in results]
 
 
 def _read(runs: list[Path]) -> tuple[dict[str, pd.DataFrame], dict[str, str], float]:
@@ -115,14 +120,14 @@ def _read(runs: list[Path]) -> tuple[dict[str, pd.DataFrame], dict[str, str], fl
 
 def _show(table: pd.DataFrame, labels: list[str], channels: list[str], units: dict[str, str]) -> None:
     reference, *others = labels
-    view = Table("standard deviation", reference, box=None, pad_edge=False)
+    view = Table("standard deviation", box=None, pad_edge=False)
+    view.add_column(reference, justify="right")
     for label in others:
-        view.add_column(label, justify="right")
-        view.add_column("suppression", justify="right", style="bold")
+        view.add_column(f"{label} (suppression)", justify="right")
     for channel in channels:
-        cells = [f"{channel} ({units.get(channel, '')})", f"{table.loc[(channel, reference), 'std']:.4g}"]
+        cells = [f"{channel} ({units.get(channel, '')})", number(float(table.loc[(channel, reference), "std"]))]
         for label in others:
             row = table.loc[(channel, label)]
-            cells += [f"{row['std']:.4g}", f"{row['suppression']:.1f} %"]
+            cells.append(f"{number(float(row['std']))} ({row['suppression']:4.1f} %)")
         view.add_row(*cells)
     out.print(view)

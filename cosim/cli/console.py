@@ -41,6 +41,11 @@ def note(text: str) -> None:
     err.print(Text(f"note: {text}", style="dim"), soft_wrap=True)
 
 
+def number(value: float) -> str:
+    """A value to four digits, large ones without exponent."""
+    return f"{value:,.0f}" if 1e4 <= abs(value) < 1e9 else f"{value:.4g}"
+
+
 def emit(content: Any) -> None:
     """Print one JSON object on stdout; numbers that JSON lacks (nan) become null."""
     print(json.dumps(_plain(content), indent=2))

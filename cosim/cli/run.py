@@ -13,7 +13,7 @@ from rich.table import Table
 
 from cosim.case import LoadCase, Number, qualified, read_case, with_damper
 from cosim.cli.build import build_fmus
-from cosim.cli.console import Format, FormatOption, emit, err, note, out, simulation_progress, warn
+from cosim.cli.console import Format, FormatOption, emit, err, note, number, out, simulation_progress, warn
 from cosim.errors import CosimError, RunFailed, nearest
 from cosim.recording import read_channels
 from cosim.run import Progress, RunResult, RunSettings, simulate
@@ -78,6 +78,8 @@ def run(
         prepared = prepare(chosen, damper, changes, quiet=quiet)
         task = progress.add_task(prepared.label, total=prepared.settings.stop)
         result = prepared.execute(folder, lambda t, *_: progress.update(task, completed=t))
+    for line in result.warnings:
+        (note if line.startswith("algebraic loop") else warn)(line)
     if output is Format.JSON:
         emit({"folder": str(result.folder), "status": result.status, "summary": result.summary})
     else:
@@ -107,8 +109,6 @@ class Prepared:
             coarse = self.settings.step > self.usual_step
             hint = f"; the step is larger than the case's {self.usual_step:g} s: try that" if coarse else ""
             raise RunFailed(f"{error}{hint} (what was computed is in {target})") from error
-        for line in result.warnings:
-            (note if line.startswith("algebraic loop") else warn)(line)
         plot_run(result.folder, self.label)
         return result
 
@@ -207,8 +207,10 @@ def _show(result: RunResult) -> None:
     if not result.summary:
         out.print(f"nothing recorded after the transient; {result.folder}")
         return
-    table = Table("channel", "unit", "mean", "std", "min", "max", box=None, pad_edge=False)
+    table = Table("channel", "unit", box=None, pad_edge=False)
+    for column in ("mean", "std", "min", "max"):
+        table.add_column(column, justify="right")
     for name, s in result.summary.items():
-        table.add_row(name, s["unit"], *(f"{s[k]:.4g}" for k in ("mean", "std", "min", "max")))
+        table.add_row(name, s["unit"], *(number(s[k]) for k in ("mean", "std", "min", "max")))
     out.print(table)
     out.print(f"{result.status}: {result.folder} ({result.wall_time:.1f} s of wall time)")
