@@ -6,7 +6,9 @@ import importlib.metadata
 import json
 import math
 import platform
+import shutil
 import sys
+import time
 import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -29,7 +31,9 @@ from fmus_src.units import unit as named_unit
 
 Array = npt.NDArray[np.float64]
 RESULTS = "results.parquet"
-ROW_GROUP_BYTES = 8_000_000
+PARTS = "results.parts"
+PART_BYTES = 2_000_000
+PART_SECONDS = 5.0
 
 
 @dataclass(frozen=True)
@@ -130,14 +134,21 @@ def _convert(channel: Channel, component: int, variable: FmuVariable) -> Selecte
 
 
 class Recorder:
-    """Streams rows to `folder/results.parquet` and keeps running statistics; memory does not grow with time."""
+    """Streams rows to disk and keeps running statistics; memory does not grow with time.
+
+    Rows go to part files, each complete in itself, that become `results.parquet` at the end: so a full disk or a
+    killed process costs no more than the last part, and `read_results` reads what is there.
+    """
 
     def __init__(self, folder: Path, channels: Sequence[SelectedChannel], statistics_from: float) -> None:
         self.channels = channels
         fields = [_field("Time", "s", "simulated time")] + [_field(c.name, c.unit, c.description) for c in channels]
         units = {"Time": "s"} | {c.name: c.unit for c in channels}
         self._schema = pa.schema(fields, metadata={"units": json.dumps(units)})
-        self._writer = pq.ParquetWriter(folder / RESULTS, self._schema, compression="zstd")
+        self._folder, self._parts = folder, folder / PARTS
+        self._parts.mkdir()
+        self._written: list[Path] = []
+        self._flushed = time.monotonic()
         self._pending: list[Array] = []
         self._pending_bytes = 0
         self._from = statistics_from - 1e-9 * max(1.0, abs(statistics_from))
@@ -158,15 +169,26 @@ class Recorder:
         self._count_in(rows[rows[:, 0] >= self._from, 1:])
         self._pending.append(rows)
         self._pending_bytes += rows.nbytes
-        if self._pending_bytes >= ROW_GROUP_BYTES:
+        if self._pending_bytes >= PART_BYTES or time.monotonic() - self._flushed > PART_SECONDS:
             self._flush()
 
     def close(self) -> None:
-        """Write what is pending, and the file's footer."""
+        """Write what is pending and join the parts.
+
+        Raises:
+            OSError: the disk is full; the parts stay.
+        """
+        self._flush()
+        joined = self._folder / RESULTS
+        scratch = joined.with_suffix(".part")
         try:
-            self._flush()
+            with pq.ParquetWriter(scratch, self._schema, compression="zstd") as writer:
+                for part in self._written:
+                    writer.write_table(pq.read_table(part))
+            scratch.replace(joined)
         finally:
-            self._writer.close()
+            scratch.unlink(missing_ok=True)
+        shutil.rmtree(self._parts)
 
     def summary(self) -> dict[str, dict[str, Any]]:
         """Statistics after the transient: {channel: {unit, mean, std, rms, min, max}}; std as of a population."""
@@ -198,7 +220,15 @@ class Recorder:
             rows = np.concatenate(self._pending)
             self._pending, self._pending_bytes = [], 0
             columns = [pa.array(np.ascontiguousarray(column)) for column in rows.T]
-            self._writer.write_table(pa.Table.from_arrays(columns, schema=self._schema), row_group_size=len(rows))
+            part = self._parts / f"{len(self._written):06d}.parquet"
+            scratch = part.with_suffix(".torn")
+            try:
+                pq.write_table(pa.Table.from_arrays(columns, schema=self._schema), scratch, compression="zstd")
+                scratch.replace(part)
+            finally:
+                scratch.unlink(missing_ok=True)  # a full disk has room again to say so
+            self._written.append(part)
+        self._flushed = time.monotonic()
 
 
 def _field(name: str, unit: str, description: str) -> Any:
@@ -206,13 +236,15 @@ def _field(name: str, unit: str, description: str) -> Any:
 
 
 def read_results(folder: Path) -> pd.DataFrame:
-    """A run's channels, indexed by time (s); `attrs["units"]` has their units.
+    """A run's channels, indexed by time (s); `attrs["units"]` has their units. Reads a broken-off run's parts too.
 
     Raises:
         CosimError: the folder holds no readable results.
     """
     try:
-        table = pq.read_table(folder / RESULTS)
+        joined, parts = folder / RESULTS, sorted((folder / PARTS).glob("*.parquet"))
+        whole = joined.exists() or not parts
+        table = pq.read_table(joined) if whole else pa.concat_tables([pq.read_table(p) for p in parts])
     except (OSError, pa.ArrowException) as error:
         raise CosimError(f"{folder}: no readable {RESULTS} ({error})") from error
     frame = table.to_pandas().set_index("Time")

@@ -141,7 +141,8 @@ def simulate(system: System, settings: RunSettings, folder: Path, progress: Prog
     except BaseException as error:
         with suppress(OSError):  # where the disk is full, the error itself is what matters
             run.write(
-                "stopped" if isinstance(error, KeyboardInterrupt) else "failed", str(error) or type(error).__name__
+                "stopped" if isinstance(error, KeyboardInterrupt) else "failed",
+                str(error) or ("stopped by the user" if isinstance(error, KeyboardInterrupt) else type(error).__name__),
             )
         if isinstance(error, OSError):
             raise RunFailed(

@@ -125,6 +125,8 @@ class Component:
     ) -> None:
         if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
             raise ValueError(f"component name '{name}' must be a lower-case C identifier")
+        if not (internal_step > 0.0 and (sample_time is None or sample_time > 0.0)):
+            raise ValueError(f"{name}: internal_step {internal_step} s and sample_time {sample_time} s must be above 0")
         self.name = name
         self.description = description
         self.internal_step = internal_step
@@ -315,6 +317,8 @@ class Component:
     # --- internals ----------------------------------------------------------------------------------------------
 
     def _lookup(self, lookup: Lookup, arguments: Any, shape: tuple[int, ...]) -> Any:
+        if lookup.name in [other.name for other in self.lookups]:
+            raise ValueError(f"{self.name}: lookup '{lookup.name}' is declared twice")
         self.lookups.append(lookup)
         self.lookup_arguments.append(arguments)
         symbol = self.sym.sym(lookup.name, _size(shape))

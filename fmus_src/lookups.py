@@ -5,7 +5,7 @@ Each has a twin in the C runtime (`export/runtime/lookup_*.c`); here is the in-p
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol
@@ -62,6 +62,12 @@ class TableLookup:
     spacing: float
     which: tuple[int, ...]
 
+    def __post_init__(self) -> None:
+        if self.data.ndim != 3 or self.data.shape[1] < 2 or not self.spacing > 0.0 or not np.isfinite(self.data).all():
+            raise ValueError(f"table '{self.name}': give finite data (tables, points >= 2, columns), spacing > 0")
+        if not all(0 <= table < len(self.data) for table in self.which):
+            raise ValueError(f"table '{self.name}': 'which' names a table that is not among the {len(self.data)} given")
+
     @property
     def argument_size(self) -> int:
         return len(self.which)
@@ -106,7 +112,8 @@ class FieldLookup:
         from fmus_src.aero.turbsim_file import read_box
 
         if path not in memory.boxes:
-            memory.boxes[path] = read_box(Path(path))
+            box = read_box(Path(path))
+            memory.boxes[path] = replace(box, tower=box.tower[:, :0])  # as in C: below the grid the lowest row holds
         velocity = memory.boxes[path].sample(float(arguments[0]), arguments[1:].reshape(-1, 3))
         return np.append(np.asarray(velocity, dtype=float).ravel(), 1.0)
 
@@ -157,8 +164,13 @@ class ImplicitLookup:
         last = memory.solutions.get(self.name)
         result = np.empty((self.count, self.unknowns))
         for i, a in enumerate(rows):
-            start = last[i] if last is not None else guess(a).full().ravel()
-            result[i] = self._newton(system, start, a, f"{self.name}[{i + 1}]")
+            label = f"{self.name}[{i + 1}]"
+            try:
+                result[i] = self._newton(system, guess(a).full().ravel() if last is None else last[i], a, label)
+            except (ArithmeticError, np.linalg.LinAlgError):
+                if last is None:
+                    raise
+                result[i] = self._newton(system, guess(a).full().ravel(), a, label)  # the motion outran the last one
         memory.solutions[self.name] = result
         return result.ravel()
 

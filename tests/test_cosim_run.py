@@ -206,14 +206,14 @@ def test_a_folder_that_cannot_be_made_is_one_clear_line(probe_fmu: Path, tmp_pat
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a file size limit of the operating system")
-def test_a_full_disk_is_one_clear_line(probe_fmu: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_is_one_clear_line_and_keeps_what_was_written(probe_fmu: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import resource
 
-    monkeypatch.setattr("cosim.recording.ROW_GROUP_BYTES", 10_000)
+    monkeypatch.setattr("cosim.recording.PART_BYTES", 100_000)
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
 
     def fill(time: float) -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (8_192, hard))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (65_536, hard))
 
     settings = RunSettings(stop=2000.0, step=0.01, record=ALL)
     try:
@@ -221,6 +221,9 @@ def test_a_full_disk_is_one_clear_line(probe_fmu: Path, tmp_path: Path, monkeypa
             simulate(pair(probe_fmu, a_u=1.0), settings, tmp_path / "run", fill)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    kept = read_results(tmp_path / "run")
+    assert len(kept) > 1000
+    assert kept.index.is_monotonic_increasing
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import sys
 import typer
 
 from cosim.cli import build, compare, listing, optimise, run
-from cosim.cli.console import failure, warn
+from cosim.cli.console import failure
 
 app = typer.Typer(
     name="fowt",
@@ -29,9 +29,6 @@ def main() -> None:
     """Entry point: one line and a non-zero exit code for anything a user can put right."""
     try:
         sys.exit(app(standalone_mode=False))
-    except KeyboardInterrupt:
-        warn("stopped")
-        sys.exit(130)
     except (ValueError, RuntimeError, OSError) as error:
         failure(str(error) or type(error).__name__)
         sys.exit(1)

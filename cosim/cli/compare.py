@@ -96,10 +96,14 @@ def _run_all(name: str, dampers: list[str], changes: Changes, folder: Path | Non
             ]
             try:
                 results = [job.result() for job in jobs]
-            except BaseException:  # Ctrl-C or a failed run: the others stop too, and keep what they have
+            except BaseException as error:  # Ctrl-C or a failed run: the others stop too, and keep what they have
                 stop.set()
                 pool.shutdown(wait=True, cancel_futures=True)
-                raise
+                if not isinstance(error, KeyboardInterrupt):
+                    raise
+                progress.stop()
+                warn(f"stopped by the user; results until then are in {root}")
+                raise typer.Exit(130) from error
     for line in dict.fromkeys(w for r in results for w in r.warnings if not w.startswith("algebraic loop")):
         warn(line)
     return [r.folder for r in results]

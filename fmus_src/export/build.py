@@ -12,6 +12,7 @@ import zipfile
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 
 from platformdirs import user_cache_path
@@ -64,7 +65,7 @@ def build_fmu(component: Component, folder: Path, target: Target | None = None) 
     """
     target = target or native_target()
     content = _content(component)
-    key = _digest(content | {"target": repr(target), "flags": repr(FLAGS)})
+    key = _digest(content | {"target": repr(target), "flags": repr(FLAGS), "compiler": version("ziglang")})
     cached = user_cache_path("fowt-cosim") / "fmus" / f"{component.name}-{key}.fmu"
     if not cached.exists():
         cached.parent.mkdir(parents=True, exist_ok=True)

@@ -5,9 +5,12 @@ from __future__ import annotations
 from importlib.metadata import PackageNotFoundError, version
 from xml.etree import ElementTree as ET
 
+import casadi as ca
+import numpy as np
+
 from fmus_src.component import Variable
 from fmus_src.equations import Equations
-from fmus_src.units import Unit, unit
+from fmus_src.units import Unit, conversion, unit
 
 _FMI_CAUSALITY = {
     "parameter": "parameter",
@@ -78,9 +81,9 @@ def _units(parent: ET.Element, equations: Equations) -> None:
         element = ET.SubElement(parent, "Unit", {"name": name})
         ET.SubElement(element, "BaseUnit", _base_unit(base))
         for display in sorted(shown[name]):
-            other = unit(display)
-            factor = base.factor / other.factor
-            ET.SubElement(element, "DisplayUnit", {"name": display, "factor": repr(factor)})
+            factor, offset = conversion(base, unit(display))
+            attributes = {"name": display, "factor": repr(factor)} | ({"offset": repr(offset)} if offset else {})
+            ET.SubElement(element, "DisplayUnit", attributes)
 
 
 def _base_unit(u: Unit) -> dict[str, str]:
@@ -94,14 +97,22 @@ def _base_unit(u: Unit) -> dict[str, str]:
 
 def _variables(parent: ET.Element, equations: Equations) -> None:
     reference = 0
+    tunable = _tunable_references(equations)
     for v in equations.variables:
         for name, start in zip(v.element_names(), v.start, strict=True):
             if not v.internal:
-                _scalar(parent, v, name, reference, start)
+                _scalar(parent, v, name, reference, start, reference in tunable)
             reference += 1
     for i, v in enumerate(equations.strings):
         attributes = _attributes(v, v.name, i) | {"variability": "fixed", "initial": "exact"}
         ET.SubElement(ET.SubElement(parent, "ScalarVariable", attributes), "String", {"start": v.text})
+
+
+def _tunable_references(equations: Equations) -> set[int]:
+    """References of tunable parameters and of the calculated parameters that follow them."""
+    tunable = np.array([v.tunable for v in equations.of("parameter") for _ in range(v.size)], dtype=bool)
+    follows = np.asarray(ca.DM(equations.calculate.jac_sparsity(0, 0), 1.0).full() != 0.0)[:, tunable].any(axis=1)
+    return set(np.flatnonzero(np.concatenate([tunable, follows])).tolist())
 
 
 def _attributes(v: Variable, name: str, reference: int) -> dict[str, str]:
@@ -113,12 +124,12 @@ def _attributes(v: Variable, name: str, reference: int) -> dict[str, str]:
     }
 
 
-def _scalar(parent: ET.Element, v: Variable, name: str, reference: int, start: float) -> None:
+def _scalar(parent: ET.Element, v: Variable, name: str, reference: int, start: float, tunable: bool) -> None:
     attributes = _attributes(v, name, reference)
     if v.causality == "parameter":
-        attributes |= {"variability": "tunable" if v.tunable else "fixed", "initial": "exact"}
+        attributes |= {"variability": "tunable" if tunable else "fixed", "initial": "exact"}
     elif v.causality == "calculated":
-        attributes |= {"variability": "fixed", "initial": "calculated"}
+        attributes |= {"variability": "tunable" if tunable else "fixed", "initial": "calculated"}
     elif v.causality == "input":
         attributes["variability"] = "continuous"
     else:

@@ -12,12 +12,12 @@
 #include "fmi2Functions.h"
 #include "runtime.h"
 
-typedef enum { INSTANTIATED, INITIALISING, STEPPING, FAILED } mode;
+typedef enum { INSTANTIATED, INITIALISING, STEPPING, TERMINATED, FAILED } mode;
 
-/* All that changes between fmi2Instantiate and fmi2FreeInstance, in one block of doubles and a few scalars: the FMU
- * state is a copy of exactly this. */
+/* All that changes between fmi2Instantiate and fmi2FreeInstance, in one block of doubles, a few scalars and the string
+ * variables: the FMU state is a copy of exactly this. */
 typedef struct {
-    double time, start;
+    double time, start, stop; /* stop: HUGE_VAL if none was given */
     long long samples; /* sample instants passed */
     mode mode;
     int started;   /* initial states evaluated */
@@ -34,13 +34,14 @@ typedef struct {
     double *work;
     casadi_int *iwork;
     char *name;
-    const fmi2CallbackFunctions *callbacks;
+    fmi2CallbackFunctions callbacks; /* a copy: the importer need not keep its own */
     int logging;
 } instance;
 
 typedef struct {
+    size_t size;     /* of all, in bytes */
     scalars s;
-    double values[];
+    double values[]; /* then texts, each with its final zero: the guid and the string variables */
 } saved_state;
 
 /* --- layout ----------------------------------------------------------------------------------------------------- */
@@ -54,6 +55,7 @@ typedef struct {
 #define AT_SLOPE (AT_W + model.n_w)
 #define AT_CURVE (AT_SLOPE + model.n_u)
 #define N_VALUES (AT_CURVE + model.n_u)
+#define AT_TEXTS (sizeof(saved_state) + (size_t)N_VALUES * sizeof(double)) /* in the bytes of a saved state */
 
 static const char *const CATEGORY_ERROR = "logStatusError";
 
@@ -65,7 +67,7 @@ static fmi2Status report(instance *m, fmi2Status status, const char *format, ...
     vsnprintf(text, sizeof text, format, list);
     va_end(list);
     if (status >= fmi2Error) m->s.mode = FAILED;
-    if (!m->callbacks || !m->callbacks->logger) return status;
+    if (!m->callbacks.logger) return status;
     /* The text itself is the format, since many importers do not expand arguments; so percent signs are doubled. */
     char escaped[2 * sizeof text], *to = escaped;
     for (const char *from = text; *from; from++) {
@@ -73,7 +75,7 @@ static fmi2Status report(instance *m, fmi2Status status, const char *format, ...
         *to++ = *from;
     }
     *to = 0;
-    m->callbacks->logger(m->callbacks->componentEnvironment, m->name, status, CATEGORY_ERROR, escaped);
+    m->callbacks.logger(m->callbacks.componentEnvironment, m->name, status, CATEGORY_ERROR, escaped);
     return status;
 }
 
@@ -240,7 +242,7 @@ const char *fmi2GetVersion(void) { return fmi2Version; }
 static void *allocate(const fmi2CallbackFunctions *c, size_t count, size_t size)
 {
     if (count == 0) count = 1;
-    return c && c->allocateMemory ? c->allocateMemory(count, size) : calloc(count, size);
+    return c && c->allocateMemory && c->freeMemory ? c->allocateMemory(count, size) : calloc(count, size);
 }
 
 static void release(const fmi2CallbackFunctions *c, void *memory)
@@ -281,25 +283,33 @@ static int allocate_work(instance *m)
     }
     size_t scratch = 2 * (size_t)model.n_arguments + 6 * (size_t)(model.n_x + model.n_z + model.n_u) + 13 * (size_t)model.n_w
                      + model.n_y;
-    m->iwork = allocate(m->callbacks, (size_t)iw, sizeof(casadi_int));
-    m->work = allocate(m->callbacks, (size_t)w, sizeof(double));
-    m->scratch = allocate(m->callbacks, scratch, sizeof(double));
+    m->iwork = allocate(&m->callbacks, (size_t)iw, sizeof(casadi_int));
+    m->work = allocate(&m->callbacks, (size_t)w, sizeof(double));
+    m->scratch = allocate(&m->callbacks, scratch, sizeof(double));
     return !(m->iwork && m->work && m->scratch);
+}
+
+/* Give a string variable a value, whose wind box is opened at the next need; 1 if out of memory. */
+static int set_text(instance *m, size_t i, const char *text)
+{
+    char *copy = copy_text(&m->callbacks, text);
+    if (!copy) return 1;
+    release(&m->callbacks, m->strings[i]);
+    m->strings[i] = copy;
+    wind_box_close(m->boxes[i]);
+    m->boxes[i] = NULL;
+    return 0;
 }
 
 static int restart(instance *m)
 {
     memset(&m->s, 0, sizeof m->s);
+    m->s.stop = HUGE_VAL;
     memset(m->values, 0, N_VALUES * sizeof(double));
     m->outputs_current = 0;
     for (int i = 0; i < model.n_variables; i++) m->values[i] = model.variables[i].start;
-    for (int i = 0; i < model.n_strings; i++) {
-        wind_box_close(m->boxes[i]);
-        m->boxes[i] = NULL;
-        release(m->callbacks, m->strings[i]);
-        m->strings[i] = copy_text(m->callbacks, model.string_starts[i]);
-        if (!m->strings[i]) return 1;
-    }
+    for (int i = 0; i < model.n_strings; i++)
+        if (set_text(m, (size_t)i, model.string_starts[i])) return 1;
     return 0;
 }
 
@@ -310,7 +320,7 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     (void)visible;
     instance *m = allocate(callbacks, 1, sizeof *m);
     if (!m) return NULL;
-    m->callbacks = callbacks;
+    if (callbacks) m->callbacks = *callbacks;
     m->logging = logging;
     m->name = copy_text(callbacks, name && name[0] ? name : model.identifier);
     m->values = allocate(callbacks, N_VALUES, sizeof(double));
@@ -329,7 +339,7 @@ void fmi2FreeInstance(fmi2Component c)
 {
     instance *m = c;
     if (!m) return;
-    const fmi2CallbackFunctions *callbacks = m->callbacks;
+    const fmi2CallbackFunctions copy = m->callbacks, *callbacks = &copy;
     for (int i = 0; i < model.n_strings; i++) {
         if (m->boxes) wind_box_close(m->boxes[i]);
         if (m->strings) release(callbacks, m->strings[i]);
@@ -358,13 +368,12 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean has_tolerance, fmi2R
 {
     (void)has_tolerance;
     (void)tolerance;
-    (void)has_stop;
-    (void)stop;
     instance *m = c;
     if (!m) return fmi2Error;
     if (m->s.mode != INSTANTIATED || !isfinite(begin))
         return report(m, fmi2Error, "fmi2SetupExperiment: only once, before initialisation, with a finite start time");
     m->s.time = m->s.start = begin;
+    m->s.stop = has_stop ? stop : HUGE_VAL;
     return fmi2OK;
 }
 
@@ -388,7 +397,13 @@ fmi2Status fmi2ExitInitializationMode(fmi2Component c)
     return fmi2OK;
 }
 
-fmi2Status fmi2Terminate(fmi2Component c) { return c ? fmi2OK : fmi2Error; }
+fmi2Status fmi2Terminate(fmi2Component c)
+{
+    instance *m = c;
+    if (!m) return fmi2Error;
+    if (m->s.mode == STEPPING) m->s.mode = TERMINATED;
+    return fmi2OK;
+}
 
 fmi2Status fmi2Reset(fmi2Component c)
 {
@@ -426,10 +441,11 @@ static fmi2Status set_one(instance *m, const char *function, fmi2ValueReference 
     if (!isfinite(value)) return report(m, fmi2Error, "%s: %s = %g is not finite (at %g s)", function, v->name, value, m->s.time);
     if (value < v->min || value > v->max)
         return report(m, fmi2Error, "%s: %s = %g is outside its bounds %g to %g", function, v->name, value, v->min, v->max);
-    int allowed = v->role == INPUT || v->role == TUNABLE_PARAMETER || (v->role == FIXED_PARAMETER && m->s.mode != STEPPING);
-    if (!allowed)
-        return report(m, fmi2Error, "%s: %s cannot be set%s", function, v->name,
-                      v->role == FIXED_PARAMETER ? " after initialisation" : ": it is computed by the FMU");
+    const char *obstacle = NULL;
+    if (v->role != INPUT && v->role != TUNABLE_PARAMETER && v->role != FIXED_PARAMETER) obstacle = ": it is computed by the FMU";
+    else if (m->s.mode > STEPPING) obstacle = " after fmi2Terminate or an error";
+    else if (v->role == FIXED_PARAMETER && m->s.mode == STEPPING) obstacle = " after initialisation";
+    if (obstacle) return report(m, fmi2Error, "%s: %s cannot be set%s", function, v->name, obstacle);
     if (m->values[vr] == value) return fmi2OK;
     m->values[vr] = value;
     m->outputs_current = 0;
@@ -448,7 +464,8 @@ static fmi2Status set(instance *m, const char *function, const fmi2ValueReferenc
     if (!m) return fmi2Error;
     for (size_t i = 0; i < n; i++) {
         if (check(m, function, vr[i], kind, reals ? (const void *)reals : (const void *)integers) != fmi2OK) return fmi2Error;
-        if (set_one(m, function, vr[i], reals ? reals[i] : (double)integers[i]) != fmi2OK) return fmi2Error;
+        double value = reals ? reals[i] : kind == BOOLEAN ? integers[i] != 0 : integers[i];
+        if (set_one(m, function, vr[i], value) != fmi2OK) return fmi2Error;
     }
     return fmi2OK;
 }
@@ -502,14 +519,9 @@ fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference vr[], size_t 
     for (size_t i = 0; i < n; i++) {
         if (vr[i] >= (fmi2ValueReference)model.n_strings || !value || !value[i])
             return report(m, fmi2Error, "fmi2SetString: no such value reference: %u", (unsigned)vr[i]);
-        if (m->s.mode == STEPPING)
+        if (m->s.mode >= STEPPING)
             return report(m, fmi2Error, "fmi2SetString: %s cannot be set after initialisation", model.string_names[vr[i]]);
-        char *copy = copy_text(m->callbacks, value[i]);
-        if (!copy) return report(m, fmi2Error, "out of memory");
-        release(m->callbacks, m->strings[vr[i]]);
-        m->strings[vr[i]] = copy;
-        wind_box_close(m->boxes[vr[i]]);
-        m->boxes[vr[i]] = NULL;
+        if (set_text(m, vr[i], value[i])) return report(m, fmi2Error, "out of memory");
         m->s.started = 0;
         m->outputs_current = 0;
     }
@@ -548,19 +560,23 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real now, fmi2Real step, fmi2Boolean 
     (void)no_rollback;
     instance *m = c;
     if (!m) return fmi2Error;
-    if (m->s.mode != STEPPING) return report(m, fmi2Error, "fmi2DoStep: the FMU is not initialised, or has failed");
+    if (m->s.mode != STEPPING) return report(m, fmi2Error, "fmi2DoStep: the FMU is not initialised, has ended or has failed");
     if (!(step > 0.0) || !isfinite(step)) return report(m, fmi2Error, "fmi2DoStep: step %g s is not positive", step);
-    if (fabs(now - m->s.time) > 1e-9 * fmax(1.0, fabs(now)) + 1e-6 * step)
+    double slack = 1e-9 * fmax(1.0, fabs(now)) + 1e-6 * step;
+    if (!isfinite(now) || fabs(now - m->s.time) > slack)
         return report(m, fmi2Error, "fmi2DoStep: called for %.9g s, but the FMU is at %.9g s", now, m->s.time);
+    if (now + step > m->s.stop + slack)
+        return report(m, fmi2Error, "fmi2DoStep: to %.9g s, beyond the stop time %.9g s", now + step, m->s.stop);
     double begin = now, end = now + step, *v = m->values;
     double *u = m->scratch + model.n_arguments + 5 * model.n_x + model.n_z; /* beyond the Runge-Kutta stages */
     memcpy(u, v + AT_U, model.n_u * sizeof(double));
     m->s.time = now;
     m->outputs_current = 0;
     while (model.sample_time > 0.0) {
-        double instant = m->s.start + (double)(m->s.samples + 1) * model.sample_time;
-        if (instant > end + 1e-9 * model.sample_time) break;
-        if (integrate(m, u, begin, fmin(instant, end)) || sample(m, u, begin)) return fmi2Error;
+        /* An importer that adds up its steps is off by about 1e-5 of one after a million: such an end is the instant. */
+        double instant = m->s.start + (double)(m->s.samples + 1) * model.sample_time, near = 1e-4 * model.sample_time;
+        if (instant > end + near) break;
+        if (integrate(m, u, begin, instant > end - near ? end : instant) || sample(m, u, begin)) return fmi2Error;
     }
     if (integrate(m, u, begin, end)) return fmi2Error;
     inputs_at(m, u, end - begin);
@@ -613,17 +629,33 @@ fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind kind, fmi2S
 
 /* --- FMU state -------------------------------------------------------------------------------------------------- */
 
-static size_t state_size(void) { return sizeof(saved_state) + (size_t)N_VALUES * sizeof(double); }
+/* A state of this size: the one given if it fits, else a new one in its place. */
+static saved_state *room_for_state(instance *m, fmi2FMUstate *state, size_t size)
+{
+    saved_state *saved = *state;
+    if (saved && saved->size == size) return saved;
+    release(&m->callbacks, saved);
+    *state = saved = allocate(&m->callbacks, 1, size);
+    if (saved) saved->size = size;
+    return saved;
+}
 
 fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state)
 {
     instance *m = c;
     if (!m || !state) return fmi2Error;
-    if (!*state) *state = allocate(m->callbacks, 1, state_size());
-    saved_state *saved = *state;
+    size_t size = AT_TEXTS + strlen(model.guid) + 1;
+    for (int i = 0; i < model.n_strings; i++) size += strlen(m->strings[i]) + 1;
+    saved_state *saved = room_for_state(m, state, size);
     if (!saved) return report(m, fmi2Error, "out of memory");
     saved->s = m->s;
     memcpy(saved->values, m->values, N_VALUES * sizeof(double));
+    char *text = (char *)saved + AT_TEXTS;
+    strcpy(text, model.guid);
+    for (int i = 0; i < model.n_strings; i++) {
+        text += strlen(text) + 1;
+        strcpy(text, m->strings[i]);
+    }
     return fmi2OK;
 }
 
@@ -632,17 +664,23 @@ fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state)
     instance *m = c;
     const saved_state *saved = state;
     if (!m || !saved) return fmi2Error;
+    const char *text = (const char *)saved + AT_TEXTS;
+    for (int i = 0; i < model.n_strings; i++) {
+        text += strlen(text) + 1;
+        if (strcmp(text, m->strings[i]) && set_text(m, (size_t)i, text)) return report(m, fmi2Error, "out of memory");
+    }
     m->s = saved->s;
     memcpy(m->values, saved->values, N_VALUES * sizeof(double));
     m->outputs_current = 0;
-    return fmi2OK;
+    /* A state from another instance or process: its wind files are not open here yet. */
+    return m->s.started ? open_boxes(m) : fmi2OK;
 }
 
 fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state)
 {
     instance *m = c;
     if (!m || !state) return fmi2Error;
-    release(m->callbacks, *state);
+    release(&m->callbacks, *state);
     *state = NULL;
     return fmi2OK;
 }
@@ -650,25 +688,35 @@ fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state)
 fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate state, size_t *size)
 {
     if (!c || !state || !size) return fmi2Error;
-    *size = state_size();
+    *size = ((saved_state *)state)->size;
     return fmi2OK;
 }
 
 fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate state, fmi2Byte bytes[], size_t size)
 {
     if (!c || !state || !bytes) return fmi2Error;
-    if (size < state_size()) return report(c, fmi2Error, "fmi2SerializeFMUstate: needs %u bytes", (unsigned)state_size());
-    memcpy(bytes, state, state_size());
+    size_t needed = ((saved_state *)state)->size;
+    if (size < needed) return report(c, fmi2Error, "fmi2SerializeFMUstate: needs %u bytes", (unsigned)needed);
+    memcpy(bytes, state, needed);
     return fmi2OK;
+}
+
+static int is_state(const fmi2Byte *bytes, size_t size)
+{
+    size_t own, guid = strlen(model.guid) + 1;
+    int texts = 0;
+    if (size < AT_TEXTS + guid || memcmp(bytes + AT_TEXTS, model.guid, guid)) return 0;
+    memcpy(&own, bytes, sizeof own);
+    for (size_t i = AT_TEXTS; i < size; i++) texts += bytes[i] == 0;
+    return own == size && texts == 1 + model.n_strings && bytes[size - 1] == 0;
 }
 
 fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], size_t size, fmi2FMUstate *state)
 {
     instance *m = c;
     if (!m || !bytes || !state) return fmi2Error;
-    if (size != state_size()) return report(m, fmi2Error, "fmi2DeSerializeFMUstate: %u bytes are no state of this FMU", (unsigned)size);
-    if (!*state) *state = allocate(m->callbacks, 1, state_size());
-    if (!*state) return report(m, fmi2Error, "out of memory");
+    if (!is_state(bytes, size)) return report(m, fmi2Error, "fmi2DeSerializeFMUstate: %u bytes are no state of this FMU", (unsigned)size);
+    if (!room_for_state(m, state, size)) return report(m, fmi2Error, "out of memory");
     memcpy(*state, bytes, size);
     return fmi2OK;
 }
@@ -710,6 +758,7 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
 {
     instance *m = c;
     if (!m) return fmi2Error;
+    if (m->s.mode == INSTANTIATED) return report(m, fmi2Error, "fmi2GetDirectionalDerivative: called before initialisation");
     if (current(m) != fmi2OK) return fmi2Error;
     double *dx = m->scratch + 2 * (size_t)model.n_arguments + 12 * (size_t)model.n_w, *du = dx + model.n_x;
     double *dw = du + model.n_u, *rates = dw + model.n_w, *outputs = rates + model.n_x;

@@ -11,6 +11,17 @@
 
 #include "runtime.h"
 
+/* File positions: the long of fseek has 32 bits on Windows, too few for a file above 2 GB. */
+#ifdef _WIN32
+#define SEEK _fseeki64
+#define TELL _ftelli64
+typedef int64_t file_position;
+#else
+#define SEEK fseek
+#define TELL ftell
+typedef long file_position;
+#endif
+
 #define GRID_TOLERANCE 1e-3
 #define HEADER_BYTES 70
 #define MAX_TEXT 4096
@@ -55,24 +66,24 @@ static int read_header(wind_box *b, FILE *f, const char *path, char *message, si
                && isfinite(b->dy) && isfinite(b->dz) && isfinite(b->mean_speed) && isfinite(b->z_bottom);
     for (int c = 0; c < 3; c++) sane = sane && isfinite(b->offset[c]) && isfinite(b->scale[c]) && b->scale[c] != 0.0f;
     if (!sane) return fail(message, size, path, "has a corrupt header; make it again");
-    if (fseek(f, text, SEEK_CUR)) return fail(message, size, path, "ends within its header");
+    if (SEEK(f, text, SEEK_CUR)) return fail(message, size, path, "ends within its header");
     return 0;
 }
 
 static int read_data(wind_box *b, FILE *f, const char *path, char *message, size_t size)
 {
     size_t grid = (size_t)b->nz * b->ny * 3, tower = (size_t)b->tower * 3;
-    long begin = ftell(f);
-    if (begin < 0 || fseek(f, 0, SEEK_END)) return fail(message, size, path, "cannot be read");
-    long end = ftell(f);
+    file_position begin = TELL(f);
+    if (begin < 0 || SEEK(f, 0, SEEK_END)) return fail(message, size, path, "cannot be read");
+    file_position end = TELL(f);
     /* Checked before allocating, so that a corrupt header cannot ask for all memory. */
     if ((double)(end - begin) < (double)b->nt * (double)(grid + tower) * 2.0)
         return fail(message, size, path, "is truncated: it holds less data than its header says");
-    if (fseek(f, begin, SEEK_SET)) return fail(message, size, path, "cannot be read");
+    if (SEEK(f, begin, SEEK_SET)) return fail(message, size, path, "cannot be read");
     b->data = malloc((size_t)b->nt * grid * sizeof(int16_t));
     if (!b->data) return fail(message, size, path, "does not fit into memory");
     for (int32_t i = 0; i < b->nt; i++) {
-        if (fread(b->data + (size_t)i * grid, sizeof(int16_t), grid, f) != grid || fseek(f, (long)(2 * tower), SEEK_CUR))
+        if (fread(b->data + (size_t)i * grid, sizeof(int16_t), grid, f) != grid || SEEK(f, (file_position)(2 * tower), SEEK_CUR))
             return fail(message, size, path, "is truncated");
     }
     return 0;
@@ -86,7 +97,8 @@ wind_box *wind_box_open(const char *path, char *message, size_t size)
         return NULL;
     }
     wind_box *b = calloc(1, sizeof *b);
-    if (b && (read_header(b, f, path, message, size) || read_data(b, f, path, message, size))) {
+    if (!b) fail(message, size, path, "does not fit into memory");
+    else if (read_header(b, f, path, message, size) || read_data(b, f, path, message, size)) {
         wind_box_close(b);
         b = NULL;
     }
@@ -122,7 +134,8 @@ static int locate_time(const wind_box *b, double time, int *first, int *second, 
         return 0;
     }
     if (!isfinite(s)) return 1;
-    s -= b->nt * floor(s / b->nt);
+    s = fmod(s, b->nt); /* exact, whatever dt a corrupt header gives */
+    if (s < 0.0) s += b->nt;
     *first = (int)s < b->nt ? (int)s : b->nt - 1;
     *second = (*first + 1) % b->nt;
     *weight = s - *first;
