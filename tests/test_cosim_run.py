@@ -206,7 +206,9 @@ def test_a_folder_that_cannot_be_made_is_one_clear_line(probe_fmu: Path, tmp_pat
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a file size limit of the operating system")
-def test_a_full_disk_is_one_clear_line_and_keeps_what_was_written(probe_fmu: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_is_one_clear_line_and_keeps_what_was_written(
+    probe_fmu: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     import resource
 
     monkeypatch.setattr("cosim.recording.PART_BYTES", 100_000)

@@ -117,7 +117,7 @@ def test_tension_and_stiffness_are_continuous_at_lift_off_of_the_anchor():
 
 def test_newton_converges_quadratically():
     lookup = ImplicitLookup("line", catenary(), first_guess(), 1)
-    system, guess = lookup.functions()
+    system, guess = lookup.functions
     a = np.array(line(397.15))
     y, errors = guess(a).full().ravel(), []
     for _ in range(6):
@@ -134,7 +134,7 @@ def test_newton_converges_from_any_earlier_solution():
     random = np.random.default_rng(3)
     lookup = ImplicitLookup("line", catenary(), first_guess(), 1)
     memory = LookupMemory([])
-    system, _ = lookup.functions()
+    system, _ = lookup.functions
     for _ in range(200):
         a = np.array(line(random.uniform(250, 550), random.uniform(120, 180), random.choice([0.0, 1.0])))
         y = lookup.evaluate(a, memory)

@@ -32,11 +32,11 @@ _LICENCE = (
 
 @dataclass(frozen=True)
 class Target:
-    """A platform to compile for: its FMI 2.0 folder, library suffix and compiler target (None: this machine's)."""
+    """A platform to compile for: its FMI 2.0 folder, library suffix and compiler target."""
 
     folder: str
     suffix: str
-    compiler_target: str | None
+    compiler_target: str
 
 
 def native_target() -> Target:
@@ -51,7 +51,7 @@ def native_target() -> Target:
     if sys.platform.startswith("linux") and machine in ("aarch64", "arm64"):
         return Target("aarch64-linux", ".so", "aarch64-linux-gnu.2.17")
     if sys.platform == "darwin":
-        return Target("darwin64", ".dylib", None)
+        return Target("darwin64", ".dylib", "aarch64-macos" if machine == "arm64" else "x86_64-macos")
     if sys.platform == "win32":
         return Target("win64", ".dll", "x86_64-windows-gnu")
     raise RuntimeError(f"no FMU platform for {sys.platform} on {machine}")
