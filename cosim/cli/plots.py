@@ -15,21 +15,27 @@ from cosim.recording import read_results
 
 COLOURS = ("#444444", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00")
 HISTORY_SECONDS = 200.0
+# What a reader looks at first; a run shows those of them that it has and that move, or its first channels.
+SHOWN_FIRST = (
+    "Wind1VelX", "Wave1Elev", "PtfmPitch", "TTDspFA", "TwrBsMyt", "RootMyc1", "GenPwr", "NStC1_XQ", "SStC1_XQ",
+)  # fmt: skip
 SPECTRUM_HZ = 0.7
 
 
 def plot_run(folder: Path, title: str) -> Path | None:
-    """Draw the channels of one run against time to run.png; None where there is nothing to draw."""
+    """Draw the main channels of one run against time to run.png; None where there is nothing to draw."""
     frame = read_results(folder)
     if len(frame) < 2:
         return None
     units = frame.attrs.get("units", {})
-    moving = [c for c in frame.columns if np.ptp(frame[c].to_numpy()) > 0.0][:12] or list(frame.columns[:1])
-    figure, axes = _panels(len(moving), 1, width=9.0, height=1.5)
-    for axis, channel in zip(axes[:, 0], moving, strict=True):
+    moving = [c for c in frame.columns if np.ptp(frame[c].to_numpy()) > 0.0] or list(frame.columns)
+    shown = [c for c in SHOWN_FIRST if c in moving] or moving[: len(SHOWN_FIRST)]
+    figure, axes = _panels(len(shown), 1, width=9.0, height=1.4)
+    for axis, channel in zip(axes[:, 0], shown, strict=True):
         axis.plot(frame.index, frame[channel], color=COLOURS[1], linewidth=0.8)
         axis.set_ylabel(f"{channel}\n({units.get(channel, '')})", fontsize=8)
     axes[-1, 0].set_xlabel("time (s)")
+    figure.align_ylabels()
     axes[0, 0].set_title(title)
     return _save(figure, folder / "run.png")
 
