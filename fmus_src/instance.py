@@ -120,6 +120,10 @@ class Instance:
         self._values["u"] = u0 + self._slope * step
         self._slope[:] = 0.0
 
+    def set_states(self, x: Array) -> None:
+        """Replace the continuous states, shape (states,), in order of declaration."""
+        self._values["x"] = np.array(x, dtype=float)
+
     def derivative(self, x: Array | None = None) -> Array:
         """Right-hand side at the present inputs and the given (or present) states."""
         x = self._values["x"] if x is None else x

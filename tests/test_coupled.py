@@ -101,7 +101,7 @@ def test_load_case_in_wind_and_waves(tmp_path: Path) -> None:
     none = run("lc4", tmp_path, "none", until=120.0)
     assert none.summary["GenPwr"]["mean"] == pytest.approx(5000.0, rel=0.03)
     assert none.summary["RotSpeed"]["mean"] == pytest.approx(12.1, rel=0.05)
-    assert two["PtfmPitch"][30.0:].std() < none.summary["PtfmPitch"]["std"]
+    assert two.loc[30.0:, "PtfmPitch"].std() < none.summary["PtfmPitch"]["std"]
 
 
 def test_same_seed_same_bits(tmp_path: Path) -> None:

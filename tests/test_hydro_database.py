@@ -53,22 +53,21 @@ def test_coefficients_agree_with_published_ones(closed: HydroDatabase, omega: fl
     assert x[4] / 1e7 == pytest.approx(x5, rel=0.02)
     assert a[2, 2] / 1e6 == pytest.approx(a33, rel=0.03)
     assert a[4, 4] / 1e9 == pytest.approx(a55, rel=0.01)
-    # The published surge added mass is larger by a constant (0.21 to 0.26e6 kg, 3 % of the barge's surging mass), at
-    # infinite frequency too (0.749e6 kg); ours converges to 0.51e6 kg as the mesh is refined.
-    assert a11 - a[0, 0] / 1e6 == pytest.approx(0.235, abs=0.03)
+    # The closed moonpool moves its water: a flush bottom lacks 0.23 of this. 0.03e6 kg is 0.4 % of the surging mass.
+    assert a[0, 0] / 1e6 == pytest.approx(a11, abs=0.03)
 
 
 def test_long_waves_act_as_accelerated_water(closed: HydroDatabase) -> None:
     # Taylor (1928): in waves much longer than the body the surge load is (displaced mass + added mass) times the
-    # water's acceleration, here at 0.1 rad/s (2.3 km), where depth 150 m makes it 2.6 times that of deep water. The box
-    # itself displaces 6400 m3. Corrections are of order (k L)^2 = 1 %.
+    # water's acceleration, here at 0.1 rad/s (2.3 km), where depth 150 m makes it 2.6 times that of deep water.
+    # Corrections are of order (k L)^2 = 1 %.
     n, w = at(closed, 0.1), 0.1
     k = wave_number(np.array([w]), closed.depth, closed.gravity)[0]
     acceleration = w**2 * np.cosh(k * (closed.depth - 2.0)) / np.sinh(k * closed.depth)
-    expected = 1j * (closed.density * 6400.0 + closed.added_mass[n, 0, 0]) * acceleration
+    expected = 1j * (closed.density * closed.volume + closed.added_mass[n, 0, 0]) * acceleration
     assert abs(closed.excitation[n, 0, 0] / expected - 1.0) < 0.015
     # Heave: waterplane stiffness less inertia, to the same order.
-    heave = closed.stiffness[2, 2] - w**2 * (closed.density * 6400.0 + closed.added_mass[n, 2, 2])
+    heave = closed.stiffness[2, 2] - w**2 * (closed.density * closed.volume + closed.added_mass[n, 2, 2])
     assert abs(closed.excitation[n, 0, 2] / heave - 1.0) < 0.02
 
 
@@ -103,12 +102,14 @@ def test_hydrostatics(closed: HydroDatabase, moonpool: HydroDatabase) -> None:
     assert closed.stiffness[2, 2] == pytest.approx(1600.0 * weight, rel=1e-6)
     assert closed.stiffness[4, 4] == pytest.approx(2.013e5 * weight, rel=2e-4)
     assert moonpool.stiffness[2, 2] == pytest.approx(1500.0 * weight, rel=1e-6)
-    for hole, volume in ((False, 6400.0), (True, 6000.0)):
-        hull, lid = compute_database.quarter_mesh(hole)
-        # Gauss: the volume is the integral of z n_z; only the bottom has n_z. The lid covers the hull's waterplane.
-        bottom = sum(float(np.prod(np.ptp(f[:, :2], axis=0))) for f in hull if np.ptp(f[:, 2]) == 0.0)
-        assert 4.0 * 4.0 * bottom == pytest.approx(volume)
-        assert 4.0 * sum(float(np.prod(np.ptp(f[:, :2], axis=0))) for f in lid) == pytest.approx(volume / 4.0)
+    for is_open in (False, True):
+        hull, lid = compute_database.quarter_mesh(is_open)
+        # Gauss: the volume is the integral of -z over the panels that face down (and 20 m3 lie above the deck).
+        volume = -4.0 * sum(float(np.prod(np.ptp(f[:, :2], axis=0))) * f[:, 2].mean() for f in hull)
+        assert volume == pytest.approx(6000.0 if is_open else 6020.0)
+        assert 4.0 * sum(float(np.prod(np.ptp(f[:, :2], axis=0))) for f in lid) == pytest.approx(
+            1500.0 if is_open else 1600.0
+        )
 
 
 def test_added_mass_and_damping_are_one_causal_function(closed: HydroDatabase) -> None:
@@ -125,9 +126,9 @@ def test_added_mass_and_damping_are_one_causal_function(closed: HydroDatabase) -
 @pytest.mark.parametrize("variant", ["closed", "moonpool"])
 def test_radiation_model_fits(variant: str) -> None:
     model = radiation_model(variant)
-    assert len(model.a) <= 50
-    # A first-order-hold of the published data over 60 s does no better: the damping itself is known to 2 %.
-    limits = {"surge-pitch": 0.04, "heave": 0.02, "yaw": 0.06} if variant == "closed" else {}
+    assert len(model.a) == 36
+    # The damping itself is known to 2 %. The open moonpool's sloshing at 1.8 rad/s is narrower than the frequency step.
+    limits = {"surge-pitch": 0.04 if variant == "closed" else 0.09, "heave": 0.03, "yaw": 0.06}
     for group in limits:
         assert model.retardation_error[group] < limits[group]
         assert model.damping_error[group] < limits[group]
@@ -137,11 +138,11 @@ def test_radiation_model_fits(variant: str) -> None:
 @pytest.mark.parametrize("variant", ["closed", "moonpool"])
 def test_radiation_model_is_stable_and_dissipative(variant: str) -> None:
     model = radiation_model(variant)
-    # Slower than 0.01 1/s would be a spurious drift of the fit, not radiation.
-    assert np.linalg.eigvals(model.a).real.max() < -0.01
+    # The slowest true decay is that of the open moonpool's piston mode, 0.007 1/s.
+    assert np.linalg.eigvals(model.a).real.max() < -0.005
     omega = np.r_[np.linspace(1e-3, 6.0, 4000), np.geomspace(6.0, 1e4, 200)]
     real = model.response(omega).real
-    for dofs, _ in GROUPS.values():
+    for dofs in GROUPS.values():
         block = real[:, dofs][:, :, dofs]
         scale = np.sqrt(np.diagonal(block, axis1=1, axis2=2).max(axis=0))
         smallest = np.linalg.eigvalsh(block / np.multiply.outer(scale, scale))[:, 0]
@@ -182,7 +183,7 @@ def test_moonpool_piston_resonance(moonpool: HydroDatabase) -> None:
 def test_solver_reproduces_the_database(closed: HydroDatabase, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("capytaine")
     # One frequency on a mesh of 4 m: within 5 % of the refined one, and far-field and pressure damping within 2 %.
-    monkeypatch.setattr(compute_database, "PANELS", {"bottom": 6, "draft": 3, "lid": 5})
+    monkeypatch.setattr(compute_database, "PANELS", {"outside": 5, "draft": 3, "moonpool": 2, "lid": 5})
     a, b, x = compute_database.solve_frequency(0.8, moonpool=False)
     n = at(closed, 0.8)
     assert np.diagonal(a)[[2, 4]] == pytest.approx(np.diagonal(closed.added_mass[n])[[2, 4]], rel=0.05)
