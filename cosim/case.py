@@ -168,6 +168,8 @@ def read_dampers(path: Path) -> dict[str, Damper]:
 def with_damper(system: System, damper: Damper) -> System:
     """The system with one damper arrangement: its components kept, those of the others dropped, its values set."""
     present = {c.name for c in system.components}
+    for name in damper.components:
+        system.component(name)  # a misspelt one must not pass for an arrangement without it
     system = without(system, *(c for c in damper.optional if c in present and c not in damper.components))
     if damper.parameters is not None:
         system = with_parameters(system, qualified(read_parameters(damper.parameters), damper, system))
@@ -175,9 +177,11 @@ def with_damper(system: System, damper: Damper) -> System:
 
 
 def qualified(values: Mapping[str, StartValue], damper: Damper, system: System) -> dict[str, StartValue]:
-    """Parameter names of a tuned set, with the arrangement's prefix where they begin with no component's name."""
-    names = [f"{c.name}." for c in system.components]
-    return {n if n.startswith(tuple(names)) else damper.prefix + n: v for n, v in values.items()}
+    """A tuned set for one arrangement: prefixed where no component is named, less the dampers that are left out."""
+    names = tuple(f"{c.name}." for c in system.components)
+    left_out = tuple(f"{c}." for c in damper.optional if f"{c}." not in names)
+    kept = {n: v for n, v in values.items() if not n.startswith(left_out)}
+    return {n if n.startswith(names) else damper.prefix + n: v for n, v in kept.items()}
 
 
 def _dampers_of(table: Mapping[str, Any]) -> str:

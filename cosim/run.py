@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import math
 import signal
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
@@ -51,6 +52,7 @@ class RunSettings:
         order: components to advance first.
         channels, record: what to record, see `select_channels`; every `decimation`-th step.
         transient: time left out of the statistics, s.
+        about: what the caller wants run.json to say of the run, such as case, damper and seed.
     """
 
     stop: float
@@ -63,6 +65,7 @@ class RunSettings:
     record: tuple[str, ...] = ()
     decimation: int = 1
     transient: float = 0.0
+    about: Mapping[str, str | int] = field(default_factory=dict)
 
     def steps(self) -> int:
         """Number of steps.
@@ -71,7 +74,7 @@ class RunSettings:
             CosimError: a setting is out of range.
         """
         if not (math.isfinite(self.start) and math.isfinite(self.stop) and self.stop > self.start):
-            raise CosimError(f"stop {self.stop:g} s must be after start {self.start:g} s")
+            raise CosimError(f"stop {self.stop:g} s must be finite and after start {self.start:g} s")
         if not (math.isfinite(self.step) and self.step > 0.0):
             raise CosimError(f"step {self.step:g} s must be positive")
         if self.decimation < 1:
@@ -145,9 +148,9 @@ def simulate(system: System, settings: RunSettings, folder: Path, progress: Prog
                 str(error) or ("stopped by the user" if isinstance(error, KeyboardInterrupt) else type(error).__name__),
             )
         if isinstance(error, OSError):
-            raise RunFailed(
-                f"{folder}: writing failed: {error.strerror or error}; free disk space or choose another"
-            ) from error
+            full = error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+            remedy = "; free disk space or choose another" if full else ""
+            raise RunFailed(f"{folder}: writing failed: {error.strerror or error}{remedy}") from error
         raise
 
 

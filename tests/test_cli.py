@@ -134,7 +134,7 @@ MTMD = ("run", "lc4", "--damper", "mtmd", *SHORT)
         ((*MTMD, "--set", "aero.wind_file=nowhere.bts"), "wind file 'nowhere.bts': cannot be opened"),
         ((*MTMD, "--set", "aero.wind_file={corrupt}"), "is shorter than a .bts header"),
         ((*MTMD, "--out", "{corrupt}/below"), "Not a directory"),
-        (("run", "lc4", "--until", "-1"), "stop -1 s must be after start 0 s"),
+        (("run", "lc4", "--until", "-1"), "stop -1 s must be finite and after start 0 s"),
         (("run", "lc4", "--until", "60", "--step", "5"), "the step is larger than the case's 0.0125 s"),
         (("run", "{bad_case}"), "unknown key 'dampr'; did you mean 'damper'?"),
         (("build", "tdm"), "no component 'tdm'; did you mean 'tmd'?"),

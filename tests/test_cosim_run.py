@@ -231,7 +231,7 @@ def test_a_full_disk_is_one_clear_line_and_keeps_what_was_written(
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        (RunSettings(stop=0.0), "stop 0 s must be after start 0 s"),
+        (RunSettings(stop=0.0), "stop 0 s must be finite and after start 0 s"),
         (RunSettings(stop=1.0, step=0.0), "step 0 s must be positive"),
         (RunSettings(stop=1.0, step=math.nan), "step nan s must be positive"),
         (RunSettings(stop=1.0, step=0.3), "not a whole number of steps of 0.3 s; use 0.9 or 1.2"),

@@ -10,8 +10,9 @@ import typer
 
 from cosim.cli.build import build_fmus
 from cosim.cli.console import Format, FormatOption, count_progress, emit, out, warn
-from cosim.cli.run import _pair, free_folder
+from cosim.cli.run import _pair, _value, free_path
 from cosim.errors import CosimError, nearest
+from cosim.recording import new_folder
 
 
 def optimise(
@@ -41,15 +42,21 @@ def optimise(
     if choice is None:
         raise CosimError(f"nothing to tune for '{damper}'{nearest(damper, get_args(DamperName))}")
     file = fmu or build_fmus(["simplified"], quiet=quiet)["simplified"]
-    values = {name: float(text) for name, text in (_pair(i, "--set", "PARAM=VALUE") for i in set_ or [])}
-    target = folder or free_folder(Path("runs") / f"optimise-{damper}")
-    target.mkdir(parents=True, exist_ok=False)
+    if not file.is_file():
+        raise CosimError(f"FMU {file}: no such file")
+    values = {}
+    for name, text in (_pair(i, "--set", "PARAM=VALUE") for i in set_ or []):
+        if not isinstance(value := _value(text), (int, float)):
+            raise CosimError(f"--set {name}={text}: give a number")
+        values[name] = float(value)
+    target = folder or free_path(Path("runs") / f"optimise-{damper}")
     with count_progress(quiet) as progress:
         task = progress.add_task(f"tuning {damper}", total=generations, note="")
         result = tune(
             choice, file, seed=seed, population=population, generations=generations, parameters=values, workers=workers,
             progress=lambda g: progress.update(task, completed=g.number, note=f"best {g.best:.4f} m"),
         )  # fmt: skip
+    new_folder(target)
     written = [write_json(result, target / "result.json"), write_ssv(result, target / "tuned.ssv"),
                plot_convergence(result, target / "convergence.png")]  # fmt: skip
     if result.failures:

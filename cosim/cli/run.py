@@ -102,7 +102,7 @@ class Prepared:
         """Simulate into the folder (default: a new one below ./runs) and draw the run."""
         from cosim.cli.plots import plot_run
 
-        target = folder or free_folder(Path("runs") / self.label)
+        target = folder or free_path(Path("runs") / self.label)
         try:
             result = simulate(self.system, self.settings, target, progress)
         except RunFailed as error:
@@ -119,19 +119,21 @@ def prepare(case: LoadCase, damper: str | None, changes: Changes, *, quiet: bool
     Raises:
         CosimError: a name in the changes is unknown, or a file cannot be used.
     """
-    name = damper or case.damper
+    name = case.damper if damper is None else damper
     if name not in case.dampers:
         raise CosimError(f"no damper arrangement '{name}'{nearest(name, case.dampers)}")
     arrangement = case.dampers[name]
     folders = [changes.fmus] if changes.fmus else [next(iter(build_fmus(quiet=quiet).values())).parent]
-    system = read_system(arrangement.system or case.system, folders)
-    system = without(with_damper(system, arrangement), *case.without)
+    settings = _settings(case, changes)
+    settings.steps()
+    whole = read_system(arrangement.system or case.system, folders)
+    system = without(with_damper(whole, arrangement), *case.without)
     seed = case.seed if changes.seed is None else changes.seed
     values: dict[str, Number] = dict(case.parameters) | dict.fromkeys(case.seed_parameters, seed)
-    present = {c.name for c in system.components}
-    if case.wind and case.wind.parameter.split(".")[0] in present:
-        values[case.wind.parameter] = str(_wind_file(case, seed, changes.until or case.stop, quiet))
-    system = with_parameters(system, {n: v for n, v in values.items() if n.split(".")[0] in present})
+    left_out = {c.name for c in whole.components} - {c.name for c in system.components}
+    if case.wind and case.wind.parameter.split(".")[0] not in left_out:
+        values[case.wind.parameter] = str(_wind_file(case, seed, settings.stop, quiet))
+    system = with_parameters(system, {n: v for n, v in values.items() if n.split(".")[0] not in left_out})
     for item in changes.swap:
         component, replacement = _pair(item, "--swap", "COMPONENT=FILE.fmu")
         system = with_swapped(system, component, Path(replacement))
@@ -140,12 +142,17 @@ def prepare(case: LoadCase, damper: str | None, changes: Changes, *, quiet: bool
     given = dict(_pair(item, "--set", "COMPONENT.PARAM=VALUE") for item in changes.set)
     system = with_parameters(system, {n: _value(text) for n, text in given.items()})
     label = f"{case.name}-{name}" + (f"-seed{seed}" if case.seed_parameters else "")
-    return Prepared(label, system, _settings(case, changes), case.step)
+    about: dict[str, str | int] = {"case": case.name, "damper": name, "seed": seed}
+    return Prepared(label, system, replace(settings, about=about), case.step)
 
 
 def _settings(case: LoadCase, changes: Changes) -> RunSettings:
     stop = case.stop if changes.until is None else changes.until
     transient = case.transient if stop > case.transient else 0.0
+    if transient < case.transient:
+        warn(f"the run ends within the transient of {case.transient:g} s: statistics include it")
+    if case.wind and stop > case.stop:
+        warn(f"a run beyond the case's {case.stop:g} s has a longer wind box, so another wind than the case's")
     settings = RunSettings(
         stop=stop,
         step=case.step if changes.step is None else changes.step,
@@ -197,9 +204,10 @@ def _value(text: str) -> Number:
     return text
 
 
-def free_folder(wanted: Path) -> Path:
-    """The folder, or the first of wanted-2, wanted-3, ... that does not exist: a run never clears anything."""
-    candidates = itertools.chain([wanted], (wanted.with_name(f"{wanted.name}-{i}") for i in itertools.count(2)))
+def free_path(wanted: Path) -> Path:
+    """The path, or the first of wanted-2, wanted-3, ... that does not exist: nothing is ever overwritten."""
+    numbered = (wanted.with_name(f"{wanted.stem}-{i}{wanted.suffix}") for i in itertools.count(2))
+    candidates = itertools.chain([wanted], numbered)
     return next(c for c in candidates if not c.exists())
 
 

@@ -133,11 +133,13 @@ def _irregular(c: Component, database: HydroDatabase, heading: Any) -> _Train:
     omega, width = waves.frequency_cells(COMPONENTS)
     enhancement = ca.if_else(gamma > 0, ca.fmax(gamma, 1e-3), waves.peak_enhancement(hs, tp))
     amplitude = c.calculated(
-        "wave.amplitude", waves.amplitudes(omega, width, hs, tp, enhancement), unit="m", description="of the components"
-    )
+        "wave.amplitude", waves.amplitudes(omega, width, hs, tp, enhancement), unit="m", internal=True,
+        description="of the components",
+    )  # fmt: skip
     phase = c.calculated(
-        "wave.phase", waves.phases(seed, COMPONENTS), unit="rad", description="e in cos(w t + e) at x = y = 0"
-    )
+        "wave.phase", waves.phases(seed, COMPONENTS), unit="rad", internal=True,
+        description="e in cos(w t + e) at x = y = 0",
+    )  # fmt: skip
     return _spectrum(c, database, heading, omega, amplitude, phase)
 
 
@@ -161,6 +163,7 @@ def _spectrum(c: Component, database: HydroDatabase, heading: Any, omega: Array,
         real, imag = (
             c.calculated(
                 f"wave.{name}_{part}", ca.mtimes(ca.DM(values), sum_over_heading), unit="N/m" if dof < 3 else "N",
+                internal=True,
                 description=f"{part} part of the {name} excitation (lead positive): spline over frequency",
             )
             for part, values in (("real", points.real), ("imaginary", points.imag))

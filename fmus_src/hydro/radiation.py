@@ -29,12 +29,9 @@ from fmus_src.hydro.database import HydroDatabase, load
 Array = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
 
-# Coupled degrees of freedom and their pole counts; sway-roll is surge-pitch turned by 90 deg.
-GROUPS: dict[str, tuple[tuple[int, ...], dict[str, int]]] = {
-    "surge-pitch": ((0, 4), {"closed": 6, "moonpool": 8}),
-    "heave": ((2,), {"closed": 6, "moonpool": 8}),
-    "yaw": ((5,), {"closed": 6, "moonpool": 6}),
-}
+# Coupled degrees of freedom; sway-roll is surge-pitch turned by 90 deg.
+GROUPS: dict[str, tuple[int, ...]] = {"surge-pitch": (0, 4), "heave": (2,), "yaw": (5,)}
+POLES = 6  # of each group
 # Beyond the database the damping is continued as (w_last / w)^n: a vertical wall of depth much above the wave length
 # radiates waves of amplitude 2 v / w, hence B11 ~ w^-3, and the moment's arm brings 1/k = g / w^2 for each index of
 # pitch. Heave radiates from the bottom: exp(-2 k d), nothing is left.
@@ -122,11 +119,6 @@ def added_mass_difference(database: HydroDatabase, omega: Array) -> Array:
     return result
 
 
-def infinite_added_mass(database: HydroDatabase) -> Array:
-    """A_inf by Ogilvie's relation, kg and so on, (6, 6): mean over frequencies of A(w) less the Kramers-Kronig part."""
-    return np.asarray((database.added_mass - added_mass_difference(database, database.omega)).mean(axis=0))
-
-
 @cache
 def radiation_model(variant: str = "closed") -> RadiationModel:
     """The fitted model of a variant of the package's database; see `fit`."""
@@ -142,11 +134,11 @@ def fit(database: HydroDatabase) -> RadiationModel:
     target = CubicSpline(grid, damping)(omega) + 1j * omega[:, None, None] * added_mass_difference(database, omega)
     weight = np.sqrt(np.gradient(omega))
     blocks: list[tuple[Array, Array, Array]] = []
-    for dofs, counts in GROUPS.values():
+    for dofs in GROUPS.values():
         index = np.ix_(range(len(omega)), dofs, dofs)
         scale = np.sqrt(np.array([database.damping[:, i, i].max() for i in dofs]))
         scaled = target[index] / np.multiply.outer(scale, scale)
-        poles = fit_poles(omega, scaled, weight, counts[database.variant])
+        poles = fit_poles(omega, scaled, weight, POLES)
         a, b, c = realisation(poles, fit_residues(omega, scaled, weight, poles))
         selection = np.zeros((len(dofs), 6))
         selection[range(len(dofs)), dofs] = scale
@@ -292,7 +284,7 @@ def _with_errors(model: RadiationModel, database: HydroDatabase, target: Complex
     exact, fitted = retardation(database, time), model.retardation(time)
     response = model.response(database.omega)
     errors: tuple[dict[str, float], ...] = ({}, {}, {})
-    for name, (dofs, _) in GROUPS.items():
+    for name, dofs in GROUPS.items():
         maxima = np.array([database.damping[:, i, i].max() for i in dofs])
         scale = np.sqrt(np.multiply.outer(maxima, maxima))
         rows, columns = np.ix_(dofs, dofs)
