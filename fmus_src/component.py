@@ -6,7 +6,7 @@ A component is the continuous-time (and optionally sampled) system
     z+ = g(t, x, z, u, p, k, w)         sampled states           `sampled_state`, `update`
     y  = h(t, x, z, u, p, k, w)         outputs                  `output`
     k  = c(p)                           calculated parameters    `calculated`
-    w  = l(t, x, z, u, p, k)            lookups: tables, wind fields, implicit equations
+    w  = l(t, x, z, u, p, k)            lookups: tables, wind fields, implicit equations, intermediate results
 
 with inputs u and parameters p. Declaring a variable returns its CasADi symbol (a column vector, or a matrix for a
 two-element shape), to be used in the equations that follow. Names are FMI structured names ("platform.velocity");
@@ -32,14 +32,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from fmus_src.lookups import FieldLookup, ImplicitLookup, Lookup, TableLookup
+from fmus_src.lookups import FieldLookup, ImplicitLookup, Lookup, StoredLookup, TableLookup
 from fmus_src.units import unit as resolve_unit
 
 Array = npt.NDArray[np.float64]
@@ -112,6 +112,7 @@ class Component:
             over many elements become loops in the generated C.
         internal_step: largest sub-step of the Runge-Kutta integrator, s.
         sample_time: period of `update`, s (sampled components only).
+        sample_at_start: whether the first sample is taken at the start, with the inputs then, not one period later.
     """
 
     def __init__(
@@ -122,6 +123,7 @@ class Component:
         symbols: Literal["SX", "MX"] = "SX",
         internal_step: float = 0.0125,
         sample_time: float | None = None,
+        sample_at_start: bool = False,
     ) -> None:
         if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
             raise ValueError(f"component name '{name}' must be a lower-case C identifier")
@@ -131,6 +133,7 @@ class Component:
         self.description = description
         self.internal_step = internal_step
         self.sample_time = sample_time
+        self.sample_at_start = sample_at_start
         self.sym = ca.SX if symbols == "SX" else ca.MX
         self.time = self.sym.sym("time")
         self.strings: list[Variable] = []
@@ -232,11 +235,14 @@ class Component:
         start: Any = 0.0,
         display_unit: str | None = None,
         nominal: float | None = None,
+        internal: bool = False,
     ) -> Any:
         """Declare a state that changes at the sample instants k * sample_time, k = 1, 2, ... only."""
         if self.sample_time is None:
             raise ValueError(f"{self.name}: sampled state '{name}' needs the component's sample_time")
-        return self._declare_state("sampled_state", name, shape, start, unit, description, display_unit, nominal)
+        return self._declare_state(
+            "sampled_state", name, shape, start, unit, description, display_unit, nominal, internal
+        )
 
     def output(
         self,
@@ -266,6 +272,17 @@ class Component:
         self._set_rate("sampled_state", state, expression)
 
     # --- lookups ------------------------------------------------------------------------------------------------
+
+    def intermediate(self, name: str, expression: Any) -> Any:
+        """Evaluate an expression once for all that uses it: lookups after it, and the equations.
+
+        Without it each of them repeats what it has in common with the others.
+
+        Returns:
+            symbol of the expression's shape.
+        """
+        self._lookup(StoredLookup(name, int(expression.numel())), ca.vec(expression), (int(expression.numel()),))
+        return ca.reshape(self.lookup_symbols[-1], *expression.shape)
 
     def table(self, name: str, data: Array, first: float, spacing: float, which: Sequence[int], x: Any) -> Any:
         """Look up x[i] in table which[i] by linear interpolation on a uniform grid, held beyond its ends.
@@ -367,9 +384,10 @@ class Component:
 
     def _declare_state(
         self, causality: Causality, name: str, shape: Any, start: Any, unit: str, description: str,
-        display_unit: str | None, nominal: float | None,
+        display_unit: str | None, nominal: float | None, internal: bool = False,
     ) -> Any:  # fmt: skip
         variable = self._with_start(name, causality, shape, 0.0, unit, description, display_unit, nominal)
+        variable = replace(variable, internal=internal)
         flat = self._flat(start)
         if flat.numel() == 1 and variable.size != 1:
             flat = ca.repmat(flat, variable.size, 1)

@@ -57,6 +57,10 @@ class Equations:
             of_inputs.append((lookup.dependencies().astype(int) @ of_arguments.astype(int)) > 0)
         return self._sparsity(self.outputs, "u") | self._through(self.outputs, of_inputs)
 
+    def outputs_look_up(self) -> bool:
+        """Whether any output depends on a lookup."""
+        return bool(self._sparsity(self.outputs, "w").any())
+
     def _through(self, function: ca.Function, of_inputs: list[Any]) -> Any:
         known = np.vstack(of_inputs)
         direct = self._sparsity(function, "w")[:, : known.shape[0]]
@@ -108,6 +112,9 @@ def derive(component: Component) -> Equations:
     calculated = _in_order(p, groups["calculated"], sym)
     initial = [column(groups["state"].expressions), column(groups["sampled_state"].expressions)]
     lookup_arguments = [ca.densify(a) for a in component.lookup_arguments]
+    derivatives, outputs = function("derivatives", arguments, [rate]), function("outputs", arguments, [y])
+    # Directions through lookups that neither rates nor outputs depend on are not needed: zero, which spares code.
+    used = any(f.jac_sparsity(0, STATE_INPUTS.index("w")).nnz() for f in (derivatives, outputs))
     order: tuple[Causality, ...] = ("parameter", "calculated", "input", "output", "state", "sampled_state")
     sizes = {n: int(s.numel()) for n, s in zip("xzupkwy", (x, z, u, p, k, w, y), strict=True)}
     return Equations(
@@ -118,12 +125,15 @@ def derive(component: Component) -> Equations:
         sizes=sizes,
         calculate=function("calculate", [p], [calculated]),
         initial=function("initial", [p, k], initial),
-        derivatives=function("derivatives", arguments, [rate]),
-        outputs=function("outputs", arguments, [y]),
+        derivatives=derivatives,
+        outputs=outputs,
         update=function("update", arguments, [following]),
         lookup_arguments=tuple(function(f"lookup{i}", arguments, [a]) for i, a in enumerate(lookup_arguments)),
         forward=directional("forward", [rate, y]),
-        lookup_forward=tuple(directional(f"lookup{i}_forward", [a]) for i, a in enumerate(lookup_arguments)),
+        lookup_forward=tuple(
+            directional(f"lookup{i}_forward", [a if used else sym.zeros(a.shape)])
+            for i, a in enumerate(lookup_arguments)
+        ),
     )
 
 

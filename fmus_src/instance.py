@@ -88,6 +88,8 @@ class Instance:
         v["k"] = _flat(e.calculate(v["p"]))
         x, z = e.initial(v["p"], v["k"])
         v["x"], v["z"] = _flat(x), _flat(z)
+        if e.component.sample_at_start:
+            v["z"] = _flat(e.update(*self._arguments(self.time, v["x"])))
 
     def get(self, name: str) -> float:
         """Value of a scalar variable now."""
@@ -180,14 +182,14 @@ def simulate(
         inputs: time -> {scalar input name: value}.
 
     Returns:
-        one row per communication point, indexed by time (s): outputs and states, SI units.
+        one row per communication point, indexed by time (s): outputs and states (but internal ones), SI units.
     """
     instance = component if isinstance(component, Instance) else Instance(component)
     instance.set(parameters or {})
     given = inputs or (lambda t: {})
     instance.set(given(0.0))
     instance.initialise()
-    states = [n for n, (key, _) in instance._index.items() if key in "xz"]
+    states = [n for v in instance.equations.of("state", "sampled_state") if not v.internal for n in v.element_names()]
     rows, times = [], []
     count = round(stop / step)
     for i in range(count + 1):

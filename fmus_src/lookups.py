@@ -1,4 +1,4 @@
-"""Operations that do not fit generated expressions: tables, wind boxes, implicit equations.
+"""Operations that do not fit generated expressions: tables, wind boxes, implicit equations, intermediate results.
 
 Each has a twin in the C runtime (`export/runtime/lookup_*.c`); here is the in-process one.
 """
@@ -46,6 +46,28 @@ class Lookup(Protocol):
     def dependencies(self) -> npt.NDArray[np.bool_]:
         """Which result (row) depends on which argument (column)."""
         ...
+
+
+@dataclass(frozen=True)
+class StoredLookup:
+    """The arguments themselves: an intermediate result, evaluated once for all that uses it."""
+
+    name: str
+    size: int
+
+    @property
+    def argument_size(self) -> int:
+        return self.size
+
+    @property
+    def result_size(self) -> int:
+        return self.size
+
+    def evaluate(self, arguments: Array, memory: LookupMemory) -> Array:
+        return arguments
+
+    def dependencies(self) -> npt.NDArray[np.bool_]:
+        return np.eye(self.size, dtype=bool)
 
 
 @dataclass(frozen=True)

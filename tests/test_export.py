@@ -71,6 +71,11 @@ def test_validates_and_states_true_dependencies(feature_fmu: Loaded, fmu_folder:
     assert depends["feedthrough[1]"] == ["u[1]", "u[2]"]
     assert depends["root[1]"] == ["u[1]"]
     assert depends["root[2]"] == ["u[2]"]
+    assert depends["product[2]"] == ["u[2]"]
+    assert depends["held[1]"] == []
+    listed = [v.name for v in description.modelVariables]
+    assert "z" in listed
+    assert "before[1]" not in listed
     assert all(v.description for v in description.modelVariables)
 
 
@@ -304,6 +309,49 @@ def test_booleans_are_zero_or_one_and_calculated_parameters_follow_tunable_ones(
     slave.reset()
     slave.setBoolean(feature_fmu.vr("on"), [7])
     assert slave.getBoolean(feature_fmu.vr("on")) == [1]
+    slave.freeInstance()
+
+
+def sampler(at_start: bool) -> Component:
+    """Takes the input at each sample and counts the samples."""
+    c = Component("sampler", "Sample and hold", sample_time=0.1, sample_at_start=at_start)
+    u = c.input("u", description="input")
+    held = c.sampled_state("held", start=-1.0, description="input at the last sample")
+    count = c.sampled_state("count", internal=True, description="number of samples")
+    twice = c.intermediate("twice", 2 * u)
+    c.update(held, twice)
+    c.update(count, count + 1)
+    c.output("y", held, description="twice the input at the last sample")
+    c.output("n", count, description="number of samples")
+    return c
+
+
+@pytest.mark.parametrize("at_start", [True, False])
+def test_first_sample_is_at_the_start_or_a_period_later(
+    built: Callable[[Component], Path], tmp_path: Path, at_start: bool
+) -> None:
+    """At the start it follows the inputs through initialisation, as often as they change, and counts once."""
+    fmu, twin = Loaded(built(sampler(at_start)), tmp_path), Instance(sampler(at_start))
+    slave, y = fmu.instance(), fmu.vr("y", "n")
+    slave.setupExperiment(startTime=0.0)
+    slave.setReal(fmu.vr("u"), [1.0])
+    slave.enterInitializationMode()
+    for u in (1.0, 3.0, 2.0):
+        slave.setReal(fmu.vr("u"), [u])
+        assert slave.getReal(y) == ([2 * u, 1.0] if at_start else [-1.0, 0.0])
+    slave.setReal(fmu.vr("u"), [4.0])  # the last word, unread before the start
+    slave.exitInitializationMode()
+    twin.set({"u": 4.0})
+    twin.initialise()
+    for i in range(4):
+        expected = [8.0 + 2 * (i // 2), i // 2 + 1.0] if at_start else [-1.0 if i < 2 else 8.0 + 2 * (i // 2), i // 2]
+        assert slave.getReal(y) == expected
+        assert [twin.get("y"), twin.get("n")] == expected
+        slave.setReal(fmu.vr("u"), [4.0 + (i + 1) // 2])
+        twin.set({"u": 4.0 + (i + 1) // 2})
+        assert slave.getReal(y) == expected
+        slave.doStep(0.05 * i, 0.05)
+        twin.do_step(0.05)
     slave.freeInstance()
 
 

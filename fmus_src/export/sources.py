@@ -11,13 +11,13 @@ import numpy as np
 
 from fmus_src.component import Variable
 from fmus_src.equations import Equations
-from fmus_src.lookups import FieldLookup, ImplicitLookup, TableLookup
+from fmus_src.lookups import FieldLookup, ImplicitLookup, StoredLookup, TableLookup
 
 RUNTIME = Path(__file__).parent / "runtime"
 RUNTIME_SOURCES = ("fmi2.c", "lookup_table.c", "lookup_field.c", "lookup_implicit.c")
 COMPILED = ("model.c", *RUNTIME_SOURCES)
 FMI_HEADERS = ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h")
-MAX_FUNCTION_ARGUMENTS = 32  # of the runtime's argument arrays
+MAX_FUNCTION_ARGUMENTS = 256  # MAX_ARGUMENTS of the runtime
 MAX_IMPLICIT = 8
 
 
@@ -95,6 +95,7 @@ const model_description model = {{
     {_text(component.name)}, {_text(guid)},
     {", ".join(str(n) for n in counts)},
     {component.internal_step!r}, {component.sample_time or 0.0!r},
+    {int(component.sample_at_start)}, {int(equations.outputs_look_up())},
     variables, string_names, string_starts, lookups,
     {", ".join(_equation(name) for name in functions)}
 }};
@@ -138,7 +139,10 @@ def _variable(v: Variable) -> str:
 
 def _lookup(i: int, lookup: object) -> tuple[str, str]:
     """Declarations of a lookup's data, and its entry in the table."""
-    if isinstance(lookup, TableLookup):
+    data = f"&lookup{i}_data"
+    if isinstance(lookup, StoredLookup):
+        kind, declaration, data = "STORED", "", "0"
+    elif isinstance(lookup, TableLookup):
         values = _wrapped(number(x) for x in np.ravel(lookup.data))
         which = _wrapped(str(n) for n in lookup.which)
         _, points, columns = lookup.data.shape
@@ -161,7 +165,7 @@ def _lookup(i: int, lookup: object) -> tuple[str, str]:
         raise TypeError(f"no C runtime for {lookup!r}")
     entry = (
         f"    {{{kind}, {lookup.argument_size}, {lookup.result_size}, {_equation(f'lookup{i}')}, "
-        f"{_equation(f'lookup{i}_forward')}, &lookup{i}_data}}"
+        f"{_equation(f'lookup{i}_forward')}, {data}}}"
     )
     return declaration, entry
 

@@ -1,8 +1,9 @@
 /* FMI 2.0 Co-Simulation on top of the generated equations: no global state, any number of instances.
  *
  * Integration: classical Runge-Kutta with sub-steps of at most `internal_step`; inputs are polynomials over the step
- * (fmi2SetRealInputDerivatives, order 1 and 2); sampled states change at start + k * sample_time, k = 1, 2, ...
+ * (fmi2SetRealInputDerivatives, order 1 and 2); sampled states change at start + k * sample_time, k = 1, 2, ... (or 0, 1, ...)
  */
+#include <float.h>
 #include <math.h>
 #include <stdarg.h>
 #include <stdio.h>
@@ -95,9 +96,11 @@ static void arguments_of(const instance *m, const double *t, const double *x, co
 
 static void call(instance *m, const equation *e, const casadi_real **arg, double *first, double *second)
 {
-    const casadi_real *a[32] = {0};
-    casadi_real *r[32] = {first, second};
+    const casadi_real *a[MAX_ARGUMENTS]; /* beyond what is set here: room for what CasADi passes inside */
+    casadi_real *r[MAX_ARGUMENTS];
     memcpy(a, arg, N_ARGUMENTS * sizeof *arg);
+    r[0] = first;
+    r[1] = second;
     e->evaluate(a, r, m->iwork, m->work, 0);
 }
 
@@ -107,8 +110,9 @@ static int look_up(instance *m, const casadi_real **arg)
     char message[512];
     for (int i = 0; i < model.n_lookups; i++) {
         const lookup *l = &model.lookups[i];
-        call(m, &l->argument, arg, arguments, NULL);
-        if (l->kind == TABLE) {
+        call(m, &l->argument, arg, l->kind == STORED ? result : arguments, NULL);
+        if (l->kind == STORED) {
+        } else if (l->kind == TABLE) {
             table_evaluate(l->data, arguments, result);
         } else if (l->kind == FIELD) {
             const field_data *d = l->data;
@@ -185,7 +189,6 @@ static int sample(instance *m, const double *u, double begin)
     if (look_up(m, arg)) return 1;
     call(m, &model.update, arg, next, NULL);
     memcpy(m->values + AT_Z, next, model.n_z * sizeof(double));
-    m->s.samples++;
     return 0;
 }
 
@@ -224,8 +227,12 @@ static fmi2Status current(instance *m)
         start(m);
         if (open_boxes(m) != fmi2OK) return fmi2Error;
     }
+    if (m->s.mode == INITIALISING && model.sample_at_start) { /* anew with every change of an input */
+        start(m);
+        if (sample(m, m->values + AT_U, m->s.time)) return fmi2Error;
+    }
     arguments_of(m, &m->s.time, m->values + AT_X, arg);
-    if (look_up(m, arg)) return fmi2Error;
+    if (model.outputs_look_up && look_up(m, arg)) return fmi2Error;
     call(m, &model.outputs, arg, y, NULL);
     for (int i = 0; i < model.n_y; i++)
         if (!isfinite(y[i]))
@@ -393,6 +400,7 @@ fmi2Status fmi2ExitInitializationMode(fmi2Component c)
     if (m->s.mode != INITIALISING) return report(m, fmi2Error, "fmi2ExitInitializationMode: called out of order");
     if (!m->s.started) start(m);
     if (open_boxes(m) != fmi2OK) return fmi2Error;
+    if (model.sample_at_start && current(m) != fmi2OK) return fmi2Error;
     m->s.mode = STEPPING;
     return fmi2OK;
 }
@@ -577,11 +585,14 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real now, fmi2Real step, fmi2Boolean 
         double instant = m->s.start + (double)(m->s.samples + 1) * model.sample_time, near = 1e-4 * model.sample_time;
         if (instant > end + near) break;
         if (integrate(m, u, begin, instant > end - near ? end : instant) || sample(m, u, begin)) return fmi2Error;
+        m->s.samples++;
     }
     if (integrate(m, u, begin, end)) return fmi2Error;
     inputs_at(m, u, end - begin);
     memset(v + AT_SLOPE, 0, 2 * (size_t)model.n_u * sizeof(double));
-    for (int i = AT_X; i < AT_W; i++)
+    int wrong = 0;
+    for (int i = AT_X; i < AT_W; i++) wrong |= !(fabs(v[i]) <= DBL_MAX); /* without a branch: there may be thousands */
+    for (int i = AT_X; wrong && i < AT_W; i++)
         if (!isfinite(v[i]))
             return report(m, fmi2Error, "state %s = %g at %g s: the model is unstable or the step too large",
                           model.variables[i].name, v[i], end);
@@ -732,7 +743,9 @@ static int lookups_forward(instance *m, const casadi_real **arg)
         const lookup *l = &model.lookups[i];
         call(m, &l->argument, arg, arguments, NULL);
         call(m, &l->argument_forward, arg, direction, NULL);
-        if (l->kind == TABLE) {
+        if (l->kind == STORED) {
+            memcpy(dw, direction, l->results * sizeof(double));
+        } else if (l->kind == TABLE) {
             table_forward(l->data, arguments, direction, dw);
         } else if (l->kind == FIELD) {
             const field_data *d = l->data;

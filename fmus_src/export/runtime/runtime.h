@@ -20,6 +20,7 @@ typedef struct {
     work_function work;
 } equation;
 
+#define MAX_ARGUMENTS 256 /* arguments, and results, of an equation with what CasADi passes inside */
 enum { T, X, Z, U, P, K, W, DX, DU, DW, N_ARGUMENTS }; /* argument order of the equations */
 
 typedef enum { REAL, INTEGER, BOOLEAN } variable_kind;
@@ -32,8 +33,8 @@ typedef struct {
     double start, min, max;
 } variable;
 
-/* Lookups: operations on arguments -> results that are not plain expressions. */
-typedef enum { TABLE, FIELD, IMPLICIT } lookup_kind;
+/* Lookups: operations on arguments -> results that are not plain expressions; STORED keeps the arguments as they are. */
+typedef enum { TABLE, FIELD, IMPLICIT, STORED } lookup_kind;
 
 typedef struct {
     const double *data; /* [tables][points][columns] */
@@ -66,6 +67,7 @@ typedef struct {
     int n_variables, n_strings, n_lookups;
     int n_x, n_z, n_u, n_p, n_k, n_w, n_y, n_arguments; /* n_arguments: longest lookup argument */
     double internal_step, sample_time;                  /* sample_time 0: no sampled states */
+    int sample_at_start, outputs_look_up;               /* whether outputs depend on lookups */
     const variable *variables;                          /* order: p, k, u, y, x, z */
     const char *const *string_names, *const *string_starts;
     const lookup *lookups;
