@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import casadi as ca
-import numpy as np
 
-from fmus_src.barge.assembly import GENERATOR, TORSION, Loads, Motion, State, shaft_axis, shaft_rotation
-from fmus_src.barge.dynamics import Frame, Point, rotation
+from fmus_src.barge.assembly import GENERATOR, TORSION, Loads, Motion, State
+from fmus_src.barge.blade import blade_matrices
+from fmus_src.barge.dynamics import RigidMotion
 from fmus_src.barge.parameters import Parameters
 from fmus_src.barge.turbine import Turbine
 from fmus_src.component import Component
@@ -16,22 +16,26 @@ from fmus_src.component import Component
 
 def declare_outputs(c: Component, turbine: Turbine, p: Parameters, loads: Loads, state: State, motion: Motion) -> None:
     """Declare every output of the component."""
+    height = turbine.tower.base_height + turbine.tower.length
+    nacelle_damper = motion.nacelle.axes @ (p.nacelle_damper_position - ca.vertcat(0, 0, height))
     _platform(c, state, motion)
-    _attachment(c, "nacelle_damper", motion, motion.tower.frame, motion.nacelle_damper)
-    _attachment(c, "platform_damper", motion, motion.platform, motion.platform_damper)
-    _hub(c, turbine, p, state, motion)
-    _tower(c, turbine, motion)
-    _blade_roots(c, turbine, p, loads, state, motion)
+    _attachment(c, "nacelle_damper", "nacelle", motion.nacelle, nacelle_damper)
+    _attachment(c, "platform_damper", "platform", motion.platform, p.platform_damper_position)
+    _hub(c, state, motion)
+    _spin(c, p, state)
+    _tower(c, turbine, p, state, motion)
+    _sections(c, turbine, motion)
+    _blades(c, turbine, loads, state, motion)
 
 
 def _platform(c: Component, state: State, motion: Motion) -> None:
-    att, (_, alpha, _) = motion.attitude, motion.body_acceleration
+    R = motion.attitude.R
     for name, value, unit, words in (
         ("position", state.position, "m", "displacement of the platform reference point"),
         ("velocity", state.velocity, "m/s", "velocity of the platform reference point"),
-        ("angular_velocity", att.E @ state.angle_rates, "rad/s", "angular velocity of the platform"),
+        ("angular_velocity", R @ motion.platform.omega, "rad/s", "angular velocity of the platform"),
         ("acceleration", motion.acceleration[:3], "m/s2", "acceleration of the platform reference point"),
-        ("angular_acceleration", att.R @ alpha, "rad/s2", "angular acceleration of the platform"),
+        ("angular_acceleration", R @ motion.platform.alpha, "rad/s2", "angular acceleration of the platform"),
     ):
         c.output(f"platform.{name}", value, unit=unit, description=f"{words}, global")
     c.output(
@@ -40,38 +44,38 @@ def _platform(c: Component, state: State, motion: Motion) -> None:
     )  # fmt: skip
 
 
-def _attachment(c: Component, port: str, motion: Motion, frame: Frame, point: Point) -> None:
-    whole, acceleration, to_frame = motion.whole, motion.body_acceleration, frame.axes.T
-    words = "nacelle" if port.startswith("nacelle") else "platform"
-    c.output(
-        f"{port}.specific_force", to_frame @ whole.point_acceleration(point, acceleration), unit="m/s2", nominal=10.0,
-        description=f"acceleration less gravity of the attachment, {words} frame",
-    )  # fmt: skip
-    c.output(
-        f"{port}.angular_velocity", to_frame @ (motion.omega + frame.rate), unit="rad/s",
-        description=f"angular velocity of the {words}, {words} frame",
-    )  # fmt: skip
-    c.output(
-        f"{port}.angular_acceleration", to_frame @ whole.angular_acceleration(frame, acceleration), unit="rad/s2",
-        description=f"angular acceleration of the {words}, {words} frame",
-    )  # fmt: skip
+def _attachment(c: Component, port: str, words: str, body: RigidMotion, arm: Any) -> None:
+    to_body = body.axes.T
+    for name, value, unit, text in (
+        ("specific_force", body.at(arm), "m/s2", "acceleration less gravity of the attachment"),
+        ("angular_velocity", body.omega, "rad/s", f"angular velocity of the {words}"),
+        ("angular_acceleration", body.alpha, "rad/s2", f"angular acceleration of the {words}"),
+    ):
+        nominal = 10.0 if name == "specific_force" else None
+        c.output(f"{port}.{name}", to_body @ value, unit=unit, nominal=nominal, description=f"{text}, {words} frame")
 
 
-def _hub(c: Component, turbine: Turbine, p: Parameters, state: State, motion: Motion) -> None:
-    R, frame, apex = motion.attitude.R, motion.tower.frame, motion.apex
-    orientation = R @ frame.axes @ shaft_rotation(turbine)
-    velocity = state.velocity + R @ (ca.cross(motion.omega, apex.r) + apex.partial @ state.relative_rates)
-    e, rates = state.relative, state.relative_rates
-    c.output("hub.position", state.position + R @ apex.r, unit="m", description="rotor apex, global")
+def _hub(c: Component, state: State, motion: Motion) -> None:
+    R, nacelle, arm = motion.attitude.R, motion.nacelle, motion.apex
+    r = nacelle.r + arm
+    # The platform turns the tower top's position, the nacelle (tower and yaw included) the arm to the apex.
+    velocity = nacelle.velocity + ca.cross(motion.platform.omega, nacelle.r) + ca.cross(nacelle.omega, arm)
+    c.output("hub.position", state.position + R @ r, unit="m", description="rotor apex, global")
     c.output(
-        "hub.orientation", ca.vec(orientation.T),
+        "hub.orientation", ca.vec((R @ motion.shaft).T),
         description="shaft frame (x along the shaft downwind, y left, z up), v_global = R v_shaft, row by row",
     )  # fmt: skip
-    c.output("hub.velocity", velocity, unit="m/s", description="velocity of the rotor apex, global")
     c.output(
-        "hub.angular_velocity", R @ (motion.omega + frame.rate), unit="rad/s",
+        "hub.velocity", state.velocity + R @ velocity, unit="m/s", description="velocity of the rotor apex, global"
+    )
+    c.output(
+        "hub.angular_velocity", R @ nacelle.omega, unit="rad/s",
         description="angular velocity of the nacelle (without the rotor's spin), global",
     )  # fmt: skip
+
+
+def _spin(c: Component, p: Parameters, state: State) -> None:
+    e, rates = state.relative, state.relative_rates
     c.output(
         "rotor.azimuth", e[GENERATOR] + e[TORSION], unit="rad", display_unit="deg",
         description="rotor azimuth, not wrapped; 0: blade 1 up",
@@ -86,63 +90,73 @@ def _hub(c: Component, turbine: Turbine, p: Parameters, state: State, motion: Mo
     )  # fmt: skip
 
 
-def _tower(c: Component, turbine: Turbine, motion: Motion) -> None:
-    tower, above, acceleration = motion.tower, motion.above, motion.body_acceleration
+def _tower(c: Component, turbine: Turbine, p: Parameters, state: State, motion: Motion) -> None:
+    modes = "of the tower's modes fore-aft 1, 2, side-to-side 1, 2"
+    c.output("tower.deflection", state.relative[:4], unit="m", description=f"deflections {modes}")
+    c.output("tower.deflection_rate", state.relative_rates[:4], unit="m/s", description=f"rates {modes}")
     for i, name in enumerate(("FA", "SS")):
         words = ("fore-aft (x)", "side-to-side (y)")[i]
         c.output(
-            f"TTDsp{name}", tower.deflection[i], unit="m",
+            f"TTDsp{name}", motion.tower.deflection[i], unit="m",
             description=f"{words} displacement of the tower top from the rigid tower, platform frame",
         )  # fmt: skip
-    force, about_prp = above.support(acceleration)
-    moment = about_prp - ca.cross(ca.vertcat(0, 0, turbine.tower.base_height), force)
-    for i, axis in enumerate("xyz"):
-        c.output(
-            f"TwrBsF{axis}t", force[i], unit="N", nominal=1e6,
-            description=f"force along {axis} of tower and turbine on the platform at the tower base, platform frame",
-        )  # fmt: skip
-    for i, axis in enumerate("xyz"):
-        c.output(
-            f"TwrBsM{axis}t", moment[i], unit="N.m", nominal=1e8,
-            description=f"moment about {axis} of tower and turbine on the platform at the tower base, platform frame",
-        )  # fmt: skip
-    top = above.point_acceleration(tower.top, acceleration) + above.gravity
-    imu = above.point_acceleration(motion.imu, acceleration) + above.gravity
+    gravity = motion.attitude.R.T @ ca.vertcat(0, 0, -p.gravity)
+    nacelle = motion.nacelle
+    imu = nacelle.at(nacelle.axes @ ca.SX(turbine.nacelle["imu"])) + gravity
     c.output(
-        "YawBrTAxp", ca.dot(tower.frame.axes[:, 0], top), unit="m/s2",
+        "YawBrTAxp", ca.dot(motion.tower.axes[:, 0], nacelle.specific_force + gravity), unit="m/s2",
         description="fore-aft acceleration of the tower top, along its x axis",
     )  # fmt: skip
     c.output(
-        "NcIMUTAxs", ca.dot(tower.frame.axes @ shaft_axis(turbine), imu), unit="m/s2",
+        "NcIMUTAxs", ca.dot(motion.shaft[:, 0], imu), unit="m/s2",
         description="acceleration of the nacelle's accelerometer along the shaft",
     )  # fmt: skip
 
 
-def _blade_roots(c: Component, turbine: Turbine, p: Parameters, loads: Loads, state: State, motion: Motion) -> None:
-    """Root moments: air load less the inertia and weight of a straight rigid blade (z along it).
+def _sections(c: Component, turbine: Turbine, motion: Motion) -> None:
+    """Loads of what is carried on what carries it: at the tower base, the yaw bearing and the rotor apex."""
+    base, top_axes = ca.SX([0, 0, turbine.tower.base_height]), motion.tower.axes
+    for port, suffix, point, axes, load, words in (
+        ("TwrBs", "t", base, ca.SX.eye(3), motion.tower_base,
+         "tower and turbine on the platform at the tower base, platform frame"),
+        ("YawBr", "p", motion.nacelle.r, top_axes, motion.yaw_bearing,
+         "nacelle and rotor on the tower top, frame of the tower top (without yaw)"),
+    ):  # fmt: skip
+        force, about_prp = load
+        _vector(c, f"{port}F{{}}{suffix}", "xyz", axes.T @ force, "N", 1e6, f"force along {{}} of {words}")
+        moment = axes.T @ (about_prp - ca.cross(point, force))
+        _vector(c, f"{port}M{{}}{suffix}", "xyz", moment, "N.m", 1e8, f"moment about {{}} of {words}")
+    force, moment = motion.rotor
+    axis = motion.shaft[:, 0]
+    c.output(
+        "RotThrust", ca.dot(axis, force), unit="N", nominal=1e6,
+        description="force of the rotor on the shaft along it, downwind: air, weight and inertia",
+    )  # fmt: skip
+    c.output(
+        "RotTorq", ca.dot(axis, moment), unit="N.m", nominal=1e6,
+        description="torsion moment of the low-speed shaft at the rotor: air, weight and inertia",
+    )  # fmt: skip
 
-    An element at distance s from the root has specific force f_apex + (R_hub + s) (alpha x z + omega x (omega x z)).
-    """
-    above, acceleration = motion.above, motion.body_acceleration
-    to_shaft = (motion.tower.frame.axes @ shaft_rotation(turbine)).T
-    at_apex = to_shaft @ above.point_acceleration(motion.apex, acceleration)
-    omega = to_shaft @ (motion.omega + motion.rotor.rate)
-    alpha = to_shaft @ above.angular_acceleration(motion.rotor, acceleration)
-    cone = rotation(1, np.radians(turbine.rotor["precone_deg"]))
-    moments = []
-    for k, (_, air) in enumerate(loads.blade_roots):
-        azimuth = state.relative[GENERATOR] + state.relative[TORSION] + 2 * np.pi * k / 3
-        to_blade = (rotation(0, azimuth) @ cone).T
-        moments.append(air + _inertia_moment(p, to_blade @ at_apex, to_blade @ omega, to_blade @ alpha))
-    for k, moment in enumerate(moments):
-        for i, axis in enumerate("xy"):
-            c.output(
-                f"RootM{axis}c{k + 1}", moment[i], unit="N.m", nominal=1e7,
-                description=f"moment about {axis} of blade {k + 1} on the hub at the blade root, coned blade frame",
-            )  # fmt: skip
+
+def _blades(c: Component, turbine: Turbine, loads: Loads, state: State, motion: Motion) -> None:
+    tip, radius = ca.SX(blade_matrices(turbine.blade).tip), turbine.blade.hub_radius
+    for k, (q, rates) in enumerate(zip(state.blades, state.blade_rates, strict=True), start=1):
+        of = f"of blade {k}"
+        c.output(f"blade{k}.deflection", q, unit="m", description=f"deflections {of}: flap 1, flap 2, edge 1")
+        c.output(f"blade{k}.deflection_rate", rates, unit="m/s", description=f"rates of the deflections {of}")
+        to_coned = motion.pitch_turns[k - 1]
+        bent = to_coned[:2, :2] @ tip @ q
+        for name, value, words in (("OoP", bent[0], "out of plane (x)"), ("IP", bent[1], "in plane (y)")):
+            c.output(f"{name}Defl{k}", value, unit="m", description=f"tip deflection {of} {words}, coned blade frame")
+        air, air_moment = loads.blade_roots[k - 1]
+        force, about_apex = (to_coned @ v for v in motion.roots[k - 1])
+        moment = about_apex - ca.cross(ca.SX([0, 0, radius]), force)
+        words = f"{of} on the hub at the blade root, coned blade frame"
+        _vector(c, f"RootF{{}}c{k}", "xyz", force + air, "N", 1e6, f"force along {{}} {words}")
+        _vector(c, f"RootM{{}}c{k}", "xy", moment + air_moment, "N.m", 1e7, f"moment about {{}} {words}")
 
 
-def _inertia_moment(p: Parameters, at_apex: Any, omega: Any, alpha: Any) -> Any:
-    z = ca.SX([0, 0, 1])
-    per_distance = ca.cross(alpha, z) + ca.cross(omega, ca.cross(omega, z))
-    return -ca.cross(z, p.blade_first_moment * at_apex + p.blade_apex_moment * per_distance)
+def _vector(c: Component, name: str, axes: str, value: Any, unit: str, nominal: float, words: str) -> None:
+    """Scalar outputs, one for each axis; its letter goes into name and description."""
+    for i, axis in enumerate(axes):
+        c.output(name.format(axis), value[i], unit=unit, nominal=nominal, description=words.format(axis))

@@ -8,12 +8,18 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from fmus_src.barge.turbine import Bending, Turbine
+from fmus_src.barge.blade import BladeMatrices, blade_matrices
+from fmus_src.barge.rotor import BladeProperties, fixed_rows
+from fmus_src.barge.tower import Bending
+from fmus_src.barge.turbine import Turbine
 from fmus_src.component import Component
-from fmus_src.hydro import database
 
 PLATFORM = ("surge", "sway", "heave", "roll", "pitch", "yaw")
-RELATIVE = ("tower_fore_aft_1", "tower_fore_aft_2", "tower_side_1", "tower_side_2", "generator", "drivetrain")
+RELATIVE = (
+    "tower_fore_aft_1", "tower_fore_aft_2", "tower_side_1", "tower_side_2", "nacelle_yaw", "generator", "drivetrain",
+)  # fmt: skip
+BLADE = ("blade_flap_1", "blade_flap_2", "blade_edge_1")
+LOCKED = ("nacelle_yaw",)
 
 
 @dataclass(frozen=True)
@@ -21,28 +27,24 @@ class Parameters:
     """Symbols of parameters and calculated parameters, SI units.
 
     Attributes:
-        free: 1 for each free degree of freedom, in the order PLATFORM, RELATIVE, (12,).
+        free: 1 for each free degree of freedom, in the order PLATFORM, RELATIVE, (13,).
         nacelle_inertia: about the vertical through the nacelle's mass centre.
-        rotor_center: mass centre of the rotor from its apex along the shaft, downwind positive.
-        rotor_axial_inertia, rotor_diametral_inertia: about the rotor's mass centre.
-        blade_first_moment: of one blade about its root; blade_apex_moment: integral of mu s (s + hub radius).
+        hub_mass, hub_inertia: at the rotor apex; about the shaft.
     """
 
     gravity: Any
     free: Any
-    added_mass: Any
     platform_mass: Any
     platform_center: Any
     platform_inertia: Any
     nacelle_mass: Any
     nacelle_center: Any
     nacelle_inertia: Any
-    rotor_mass: Any
-    rotor_center: Any
-    rotor_axial_inertia: Any
-    rotor_diametral_inertia: Any
-    blade_first_moment: Any
-    blade_apex_moment: Any
+    yaw_stiffness: Any
+    yaw_damping: Any
+    hub_mass: Any
+    hub_inertia: Any
+    blade: BladeProperties
     gear_ratio: Any
     generator_inertia: Any
     shaft_stiffness: Any
@@ -63,26 +65,26 @@ class Parameters:
 def declare_parameters(c: Component, turbine: Turbine) -> Parameters:
     """Declare all parameters of the component with the turbine's figures as start values."""
     gravity = c.parameter("gravity", 9.80665, unit="m/s2", min=0.0, description="acceleration of gravity")
-    free = [
-        c.parameter(f"dof.{name}", 1.0, kind="boolean", description=f"whether {name.replace('_', ' ')} is free")
-        for name in (*PLATFORM, *RELATIVE)
-    ]
-    added_mass = c.parameter(
-        "added_mass", database.load().added_mass_infinite, nominal=1e7,
-        description="infinite-frequency added mass about the platform reference point, global: kg, kg.m, kg.m2",
-    )  # fmt: skip
+    free = [_switch(c, name) for name in (*PLATFORM, *RELATIVE)]
+    blade_free = [_switch(c, name, " of every blade") for name in BLADE]
     return Parameters(
         gravity=gravity,
         free=ca.vertcat(*free),
-        added_mass=added_mass,
         **_platform(c, turbine),
         **_nacelle(c, turbine),
-        **_rotor(c, turbine),
+        **_rotor(c, turbine, ca.vertcat(*blade_free)),
         **_drivetrain(c, turbine),
         **_tower(c, "fore_aft", turbine.tower.fore_aft, turbine.damping_ratio),
         **_tower(c, "side", turbine.tower.side, turbine.damping_ratio),
         **_attachments(c),
         **_initial(c),
+    )
+
+
+def _switch(c: Component, name: str, where: str = "") -> Any:
+    words = name.replace("_", " ")
+    return c.parameter(
+        f"dof.{name}", float(name not in LOCKED), kind="boolean", description=f"whether {words}{where} is free"
     )
 
 
@@ -118,51 +120,85 @@ def _nacelle(c: Component, turbine: Turbine) -> dict[str, Any]:
         "nacelle.central_yaw_inertia", about_axis - mass * (center[0] ** 2 + center[1] ** 2), unit="kg.m2",
         description="inertia of the nacelle about the vertical through its mass centre",
     )  # fmt: skip
-    return {"nacelle_mass": mass, "nacelle_center": center, "nacelle_inertia": inertia}
-
-
-def _rotor(c: Component, turbine: Turbine) -> dict[str, Any]:
-    """Three rigid coned blades and a hub at the apex whose inertia acts about the shaft only."""
-    figures, blade = turbine.rotor, turbine.blade
-    mass = c.parameter("blade.mass", blade["mass"], unit="kg", min=0.0, description="mass of one blade")
-    center = c.parameter(
-        "blade.center_of_mass", blade["center_of_mass"], unit="m", description="blade's mass centre from its root"
+    stiffness = c.parameter(
+        "nacelle.yaw_stiffness", figures["yaw_stiffness"], unit="N.m/rad", min=0.0, description="stiffness of yaw drive"
     )
-    inertia = c.parameter(
-        "blade.inertia", blade["inertia"], unit="kg.m2", min=0.0, description="blade's inertia about its root"
+    damping = c.parameter(
+        "nacelle.yaw_damping", figures["yaw_damping"], unit="N.m.s/rad", min=0.0, description="damping of the yaw drive"
+    )
+    return {
+        "nacelle_mass": mass, "nacelle_center": center, "nacelle_inertia": inertia,
+        "yaw_stiffness": stiffness, "yaw_damping": damping,
+    }  # fmt: skip
+
+
+def _rotor(c: Component, turbine: Turbine, free: Any) -> dict[str, Any]:
+    """Three elastic coned blades and a hub at the apex whose inertia acts about the shaft only."""
+    figures = turbine.rotor
+    factor = c.parameter(
+        "blade.mass_factor", turbine.blade.mass_factor, min=1e-6, description="factor on the blades' mass density"
     )
     hub_mass = c.parameter("hub.mass", figures["hub_mass"], unit="kg", min=1.0, description="mass of the hub")
     hub_inertia = c.parameter(
         "hub.inertia", figures["hub_inertia"], unit="kg.m2", min=0.0, description="inertia of the hub about the shaft"
     )
-    radius, cone = figures["hub_radius"], np.radians(figures["precone_deg"])
-    first = mass * center
-    at_apex = inertia + 2 * radius * first + mass * radius**2
-    total = hub_mass + 3 * mass
-    offset = 3 * np.sin(cone) * (first + radius * mass) / total
-    diametral = (1.5 * np.cos(cone) ** 2 + 3 * np.sin(cone) ** 2) * at_apex - total * offset**2
-    axial = hub_inertia + 3 * np.cos(cone) ** 2 * at_apex
-    calculated = c.calculated
-    return {
-        "rotor_mass": calculated("rotor.mass", total, unit="kg", description="mass of blades and hub"),
-        "rotor_center": calculated(
-            "rotor.center_of_mass", offset, unit="m", description="rotor's mass centre from the apex, along the shaft"
-        ),
-        "rotor_axial_inertia": calculated(
-            "rotor.axial_inertia", axial, unit="kg.m2", description="inertia of the rotor about the shaft"
-        ),
-        "rotor_diametral_inertia": calculated(
-            "rotor.diametral_inertia", diametral, unit="kg.m2",
-            description="inertia of the rotor about a diameter through its mass centre",
-        ),
-        "blade_first_moment": calculated(
-            "blade.first_moment", first, unit="kg.m", description="first mass moment of a blade about its root"
-        ),
-        "blade_apex_moment": calculated(
-            "blade.apex_moment", inertia + radius * first, unit="kg.m2",
-            description="integral of mass times distances from root and apex over a blade",
+    matrices = blade_matrices(turbine.blade)
+    integrals = matrices.integrals.scaled(factor)
+    stiffness, damping = _blade_bending(c, turbine, matrices, factor)
+    # A locked mode has its row and column replaced by the identity's, and no response.
+    inverse = ca.inv(integrals.modal * (free @ free.T) + ca.diag(1 - free)) * (free @ free.T)
+    rows = fixed_rows(integrals)
+    condensed = {
+        "modal_inverse": (inverse, "inverse modal mass matrix of its free modes, zero for locked ones"),
+        "response": (inverse @ rows.T, "response of its modes to the hub's acceleration"),
+        "condensed": (rows @ inverse @ rows.T, "inertia that its moving modes take from the hub"),
+    }
+    blade = BladeProperties(
+        integrals=integrals,
+        **{
+            name: c.calculated(f"blade.{name}", value, internal=True, description=f"blade: {words}")
+            for name, (value, words) in condensed.items()
+        },
+        stiffness=stiffness,
+        damping=damping,
+    )  # fmt: skip
+    straight = {
+        "blade.mass": (integrals.mass, "kg", "mass of one blade"),
+        "rotor.mass": (hub_mass + 3 * integrals.mass, "kg", "mass of blades and hub"),
+        "rotor.axial_inertia": (
+            hub_inertia + 3 * np.cos(turbine.cone) ** 2 * integrals.second, "kg.m2",
+            "inertia about the shaft of the rotor with straight blades",
         ),
     }  # fmt: skip
+    for name, (value, unit, words) in straight.items():
+        c.calculated(name, value, unit=unit, description=words)
+    return {"hub_mass": hub_mass, "hub_inertia": hub_inertia, "blade": blade}
+
+
+def _blade_bending(c: Component, turbine: Turbine, matrices: BladeMatrices, mass_factor: Any) -> tuple[Any, Any]:
+    """Stiffness and damping of the modes; the ratios hold for any factors on stiffness and mass."""
+    factor = {
+        name: c.parameter(f"blade.{name}_stiffness_factor", 1.0, min=1e-6, description=f"factor on {name} stiffness")
+        for name in ("flap", "edge")
+    }
+    ratio = turbine.blade.damping_ratio
+    flap_damping = c.parameter(
+        "blade.flap_damping", [ratio, ratio], min=0.0, description="structural damping ratio of the flap modes"
+    )
+    edge_damping = c.parameter(
+        "blade.edge_damping", ratio, min=0.0, description="structural damping ratio of the edge mode"
+    )
+    on_stiffness = ca.vertcat(factor["flap"], factor["flap"], factor["edge"])
+    on_damping = ca.sqrt(mass_factor * on_stiffness) * ca.vertcat(flap_damping, edge_damping)
+    stiffness = c.calculated(
+        "blade.stiffness", ca.SX(matrices.stiffness) @ ca.diag(on_stiffness), unit="N/m",
+        description="stiffness of a blade's modes flap 1, flap 2, edge 1",
+    )  # fmt: skip
+    damping = c.calculated(
+        "blade.damping", ca.SX(matrices.damping) @ ca.diag(on_damping), unit="N.s/m",
+        description="damping of a blade's modes flap 1, flap 2, edge 1",
+    )  # fmt: skip
+    return stiffness, damping
 
 
 def _drivetrain(c: Component, turbine: Turbine) -> dict[str, Any]:
