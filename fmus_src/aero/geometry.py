@@ -16,8 +16,7 @@ Array = npt.NDArray[np.float64]
 
 _DATA = Path(__file__).parent / "data"
 #: Columns of the section tables.
-LIFT, DRAG, MOMENT, LIFT_CHANGE, DRAG_CHANGE = range(5)
-_ATTACHED = math.radians(20.0)
+LIFT, DRAG, MOMENT, LIFT_SLOPE = range(4)
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +61,21 @@ class Rotor:
         return matrix
 
     @property
+    def tip_distance(self) -> Array:
+        """(B / 2) (R - r) / r at the stations (n,), for the tip loss."""
+        return np.asarray(0.5 * self.blades * (self.tip_radius - self.hub_radius - self.span) / self.radius_along)
+
+    @property
+    def hub_distance(self) -> Array:
+        """(B / 2) (r - R_hub) / R_hub at the stations (n,), for the hub loss."""
+        return np.asarray(0.5 * self.blades * self.span / self.hub_radius)
+
+    @property
+    def radius_along(self) -> Array:
+        """Distance of the stations from the apex along the blade, m (n,)."""
+        return np.asarray(self.hub_radius + self.span)
+
+    @property
     def area_weights(self) -> Array:
         """Weight of each station in an average over the rotor's area, summing to one over a blade (n,)."""
         weights = self.load_lumping @ self.radius
@@ -91,39 +105,29 @@ def section_tables(points_per_degree: int = 2) -> tuple[Array, float, float]:
     """Section coefficients on a uniform grid of angles of attack from -180 to 180 deg (data/sections.toml).
 
     Returns:
-        data (sections, points, 5) with columns LIFT, DRAG, MOMENT, LIFT_CHANGE, DRAG_CHANGE (what
-        `attached_flow_change` adds to lift and drag); first angle and spacing, rad.
+        data (sections, points, 4) with columns LIFT, DRAG, MOMENT, LIFT_SLOPE (1/rad); first angle and spacing, rad.
     """
     degrees = np.linspace(-180.0, 180.0, 360 * points_per_degree + 1)
+    spacing = math.radians(1.0 / points_per_degree)
     tables = []
     for section in _sections().values():
         published = np.array([np.interp(degrees, section["alpha_deg"], section[k]) for k in ("lift", "drag", "moment")])
-        change = attached_flow_change(np.radians(degrees), published[LIFT], published[DRAG], section)
-        tables.append(np.vstack([published, change]).T)
-    return np.array(tables), -math.pi, math.radians(1.0 / points_per_degree)
+        tables.append(np.vstack([published, np.gradient(published[LIFT], spacing)]).T)
+    return np.array(tables), -math.pi, spacing
 
 
-def attached_flow_change(alpha: Array, lift: Array, drag: Array, section: dict[str, Any]) -> Array:
-    """Change of lift and drag (2, n) by the steady state of OpenFAST's Beddoes-Leishman model (Gonzalez variant).
-
-    That model takes a section's normal force as the attached-flow line C_n_alpha (alpha - alpha_0) times a separation
-    factor of at most one, so wherever the polar lies above that line (by up to 10 % for the outer sections, whose
-    polars include stall delay) the force is limited to it; the chord force likewise. Zero for sections without these
-    parameters (cylinders) and beyond 20 deg, where flow is separated and the model follows the polar. The Mach number's
-    influence on the slope (at most 3 %) is left out.
-    """
-    if "normal_force_slope" not in section:
-        return np.zeros((2, alpha.size))
-    sin, cos, drag_0 = np.sin(alpha), np.cos(alpha), section["drag_0"]
-    attached = section["normal_force_slope"] * (alpha - math.radians(section["alpha_0_deg"]))
-    normal = lift * cos + (drag - drag_0) * sin
-    chordwise = lift * sin - (drag - drag_0) * cos
-    same_sign = normal * attached > 0.0
-    limited_normal = np.where(same_sign, np.sign(attached) * np.minimum(abs(normal), abs(attached)), normal)
-    limited_chordwise = np.where(attached * alpha > 0.0, np.minimum(chordwise, attached * alpha), chordwise)
-    new_lift = limited_normal * cos + limited_chordwise * sin
-    new_drag = limited_normal * sin - limited_chordwise * cos + drag_0
-    return np.where(abs(alpha) < _ATTACHED, [new_lift - lift, new_drag - drag], 0.0)
+def aerofoil_constants(r: Rotor) -> dict[str, Array]:
+    """Constants of the unsteady model at the stations of one blade, (n,) each; harmless ones for cylinders."""
+    sections = list(_sections().values())
+    names = ("alpha_0_deg", "normal_force_slope", "drag_0", "stall_normal_force", "negative_stall_normal_force")
+    cylinder = (0.0, 2.0 * math.pi, 0.0, 1.0, -1.0)
+    rows = [[sections[s].get(n, o) for n, o in zip(names, cylinder, strict=True)] for s in r.section]
+    alpha_0, slope, drag_0, stall, negative_stall = np.array(rows, dtype=float).T
+    return {
+        "aerofoil": np.array([float("normal_force_slope" in sections[s]) for s in r.section]),
+        "alpha_0": np.radians(alpha_0), "slope": slope, "drag_0": drag_0, "stall": stall,
+        "negative_stall": negative_stall,
+    }  # fmt: skip
 
 
 @cache
