@@ -8,7 +8,7 @@ import pytest
 
 from fmus_src.hydro import compute_database, radiation
 from fmus_src.hydro.database import HydroDatabase, load, read, wave_number
-from fmus_src.hydro.radiation import GROUPS, radiation_model
+from fmus_src.hydro.radiation import groups, radiation_model
 
 Array = npt.NDArray[np.float64]
 
@@ -124,26 +124,35 @@ def test_added_mass_and_damping_are_one_causal_function(closed: HydroDatabase) -
     assert (np.abs(found.mean(axis=0) - closed.added_mass_infinite) / scale).max() < 0.02
 
 
-@pytest.mark.parametrize("variant", ["closed", "moonpool"])
-def test_radiation_model_fits(variant: str) -> None:
-    model = radiation_model(variant)
-    assert len(model.a) == 36
-    # The damping itself is known to 2 %. The open moonpool's sloshing at 1.8 rad/s is narrower than the frequency step.
-    limits = {"surge-pitch": 0.04 if variant == "closed" else 0.09, "heave": 0.03, "yaw": 0.06}
-    for group in limits:
-        assert model.retardation_error[group] < limits[group]
-        assert model.damping_error[group] < limits[group]
-        assert model.added_mass_error[group] < limits[group]
+@pytest.mark.parametrize(("name", "states"), [("closed", 36), ("moonpool", 52)])
+def test_radiation_model_fits(name: str, states: int) -> None:
+    model = radiation_model(load(name))
+    assert len(model.a) == states
+    # What the fit promises; the damping itself is known to 2 %.
+    for error in (model.retardation_error, model.damping_error, model.added_mass_error):
+        assert set(error) == {"11", "15", "55", "22", "24", "44", "33", "66"}
+        assert max(error.values()) < 0.051
+    assert f"radiation memory of {states} states" in model.statement
 
 
-@pytest.mark.parametrize("variant", ["closed", "moonpool"])
-def test_radiation_model_is_stable_and_dissipative(variant: str) -> None:
-    model = radiation_model(variant)
+def test_radiation_model_is_close_at_the_resonance_of_pitch(closed: HydroDatabase) -> None:
+    # At 0.5 rad/s (pitch: 0.53) damping is a quarter of its maximum, and all that bounds the resonance: what an error
+    # of 4 % of the whole leaves open is bounded here. It was 5 % in B55 and 9 % in B15 without emphasis in the fit.
+    real = radiation_model(closed).response(np.array([0.5]))[0].real
+    expected = closed.damping[at(closed, 0.5)]
+    for i, j, tolerance in ((0, 0, 0.02), (4, 4, 0.02), (0, 4, 0.06), (2, 2, 0.02)):
+        assert real[i, j] == pytest.approx(expected[i, j], rel=tolerance)
+
+
+@pytest.mark.parametrize("name", ["closed", "moonpool"])
+def test_radiation_model_is_stable_and_dissipative(name: str) -> None:
+    database = load(name)
+    model = radiation_model(database)
     # The slowest true decay is that of the open moonpool's piston mode, 0.007 1/s.
     assert np.linalg.eigvals(model.a).real.max() < -0.005
     omega = np.r_[np.linspace(1e-3, 6.0, 4000), np.geomspace(6.0, 1e4, 200)]
     real = model.response(omega).real
-    for dofs in GROUPS.values():
+    for dofs in groups(database):
         block = real[:, dofs][:, :, dofs]
         scale = np.sqrt(np.diagonal(block, axis1=1, axis2=2).max(axis=0))
         smallest = np.linalg.eigvalsh(block / np.multiply.outer(scale, scale))[:, 0]
@@ -195,7 +204,7 @@ def test_solver_reproduces_the_database(closed: HydroDatabase, monkeypatch: pyte
 
 
 def test_errors_name_the_remedy(tmp_path) -> None:  # type: ignore[no-untyped-def]
-    with pytest.raises(ValueError, match="choose one of closed, moonpool"):
+    with pytest.raises(ValueError, match="no database 'open'; choose one of closed, moonpool"):
         load("open")
     broken = tmp_path / "broken.json"
     broken.write_text('{"omega": [1.0], "heading_deg": [0.0]}')

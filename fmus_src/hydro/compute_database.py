@@ -2,6 +2,7 @@
 
     python -m fmus_src.hydro.compute_database               moonpool closed by the deck  -> data/barge.json
     python -m fmus_src.hydro.compute_database --moonpool    moonpool open                -> data/barge_moonpool.json
+    python -m fmus_src.hydro.compute_database --deep        closed, in deep water        -> data/barge_deep.json
 
 Geometry, draft, depth and displaced volume: Jonkman, NREL/TP-500-41958 (2007), table 2-4. In the first variant the 10 m
 moonpool is open below and closed at the waterline, so that its water moves with the barge: this is what the published
@@ -35,14 +36,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from fmus_src.hydro.database import HydroDatabase, coefficient_pairs, save, wave_number
+from fmus_src.hydro.database import HydroDatabase, save, wave_number
 
 Array = npt.NDArray[np.float64]
 
 LENGTH, DRAFT, MOONPOOL = 40.0, 4.0, 10.0  # m
 DEPTH, DENSITY, GRAVITY = 150.0, 1025.0, 9.80665  # m, kg/m3, m/s2
+DEEP = 1e5  # m, deep water for every frequency: the published coefficients are those of infinite depth
 VOLUME = 6000.0  # m3: the box less its moonpool, in both variants
 DECK = -0.2  # m, level of the deck that closes the moonpool
+# Index pairs of added mass and damping that are not zero by the symmetry of a square barge.
+SQUARE_PAIRS = [(0, 0), (0, 4), (4, 0), (4, 4), (1, 1), (1, 3), (3, 1), (3, 3), (2, 2), (5, 5)]
 DOFS = ("Surge", "Sway", "Heave", "Roll", "Pitch", "Yaw")
 HEADINGS = np.radians(np.arange(0.0, 91.0, 3.0))  # the far-field integral needs 3 deg; every third is kept
 KEPT_HEADINGS = 3
@@ -124,21 +128,21 @@ def frequencies(moonpool: bool) -> Array:
     return np.asarray(np.unique(np.round(np.concatenate(parts), 4)))
 
 
-def far_field_damping(excitation: Array, omega: float) -> Array:
+def far_field_damping(excitation: Array, omega: float, depth: float = DEPTH) -> Array:
     """Radiation damping (6, 6) from the excitation (headings 0..90 deg, 6) of a body with two symmetry planes.
 
     B_ij = k / (8 pi rho g c_g) * integral over all headings of X_i conj(X_j); the products that survive the
     symmetries are even in every quadrant.
     """
-    k = float(wave_number(np.array([omega]), DEPTH, GRAVITY)[0])
-    group_velocity = 0.5 * omega / k * (1.0 + 2.0 * k * DEPTH / np.sinh(min(2.0 * k * DEPTH, 700.0)))
+    k = float(wave_number(np.array([omega]), depth, GRAVITY)[0])
+    group_velocity = 0.5 * omega / k * (1.0 + 2.0 * k * depth / np.sinh(min(2.0 * k * depth, 700.0)))
     weight = np.full(len(HEADINGS), 4.0 * (HEADINGS[1] - HEADINGS[0]))
     weight[[0, -1]] /= 2.0
     total = np.einsum("b,bi,bj->ij", weight, excitation, np.conj(excitation)).real
     return np.asarray(k / (8.0 * np.pi * DENSITY * GRAVITY * group_velocity) * total)
 
 
-def solve_frequency(omega: float, moonpool: bool) -> tuple[Array, Array, Array]:
+def solve_frequency(omega: float, moonpool: bool, depth: float = DEPTH) -> tuple[Array, Array, Array]:
     """Added mass (6, 6), damping from pressure (6, 6) and excitation (headings, 6), lead positive, at omega."""
     import capytaine as cpt
     from capytaine.bem.airy_waves import froude_krylov_force
@@ -149,9 +153,9 @@ def solve_frequency(omega: float, moonpool: bool) -> tuple[Array, Array, Array]:
     body = barge_body(moonpool, with_lid=finite)
     green_function = cpt.Delhommeau(gf_singularities="high_freq" if finite else "low_freq")
     solver = cpt.BEMSolver(method="direct", green_function=green_function)
-    k = float(wave_number(np.array([omega]), DEPTH, GRAVITY)[0]) if finite else np.inf
-    depth = DEPTH if k * DEPTH < 6.0 else np.inf
-    common = {"body": body, "omega": omega, "water_depth": depth, "rho": DENSITY, "g": GRAVITY}
+    k = float(wave_number(np.array([omega]), depth, GRAVITY)[0]) if finite else np.inf
+    solved = depth if k * depth < 6.0 else np.inf
+    common = {"body": body, "omega": omega, "water_depth": solved, "rho": DENSITY, "g": GRAVITY}
     problems = [cpt.RadiationProblem(radiating_dof=d, **common) for d in DOFS]
     waves = [cpt.DiffractionProblem(wave_direction=b, **common) for b in HEADINGS] if finite else []
     results = [solver.solve(p, keep_details=False, _check_wavelength=False) for p in problems + waves]
@@ -180,12 +184,12 @@ def square_mean(matrix: Array) -> Array:
     symmetric = (matrix + matrix.T) / 2.0
     mean = (symmetric + turn @ symmetric @ turn.T) / 2.0
     mask = np.zeros((6, 6))
-    for i, j in coefficient_pairs():
+    for i, j in SQUARE_PAIRS:
         mask[i, j] = 1.0
     return np.asarray(mean * mask)
 
 
-def compute(moonpool: bool) -> HydroDatabase:
+def compute(moonpool: bool, depth: float = DEPTH) -> HydroDatabase:
     """Solve all problems; half an hour on two cores."""
     import capytaine
 
@@ -194,10 +198,10 @@ def compute(moonpool: bool) -> HydroDatabase:
     asymmetry = pressure_difference = 0.0
     # Capytaine 3.0 keeps the matrices of every frequency (an lru_cache on a method): a new process every few of them.
     with get_context("spawn").Pool(1, maxtasksperchild=5) as pool:
-        solve = partial(solve_frequency, moonpool=moonpool)
+        solve = partial(solve_frequency, moonpool=moonpool, depth=depth)
         infinite, _, _ = pool.apply(solve, (np.inf,))
         for w, (a, b, x) in zip(omega, pool.imap(solve, omega), strict=True):
-            b_far = square_mean(far_field_damping(x, float(w)))
+            b_far = square_mean(far_field_damping(x, float(w), depth))
             asymmetry = max(asymmetry, abs(a[0, 4] - a[4, 0]) / np.sqrt(abs(a[0, 0] * a[4, 4])))
             difference = abs(b[2, 2] / b_far[2, 2] - 1.0)
             pressure_difference = max(pressure_difference, difference if 0.3 < w < 1.0 else 0.0)
@@ -207,7 +211,7 @@ def compute(moonpool: bool) -> HydroDatabase:
             print(f"{w:6.4f} rad/s  A33 {a[2, 2]:.4g}  B33 {b_far[2, 2]:.4g} (pressure {b[2, 2]:.4g})", flush=True)
     panels = [4 * len(faces) for faces in quarter_mesh(moonpool)]
     return HydroDatabase(
-        variant="moonpool" if moonpool else "closed",
+        name="moonpool" if moonpool else "closed" if depth == DEPTH else "deep",
         omega=omega,
         heading=HEADINGS[::KEPT_HEADINGS],
         added_mass=np.array(added_mass),
@@ -216,7 +220,7 @@ def compute(moonpool: bool) -> HydroDatabase:
         excitation=np.array(excitation),
         stiffness=hydrostatic_stiffness(moonpool),
         volume=VOLUME,
-        depth=DEPTH,
+        depth=depth,
         density=DENSITY,
         gravity=GRAVITY,
         provenance=(
@@ -224,7 +228,7 @@ def compute(moonpool: bool) -> HydroDatabase:
             f"{panels[0]} panels on the hull, {panels[1]} on the lid, graded, 2 x 2 points",
             f"box {LENGTH:g} x {LENGTH:g} x {DRAFT:g} m, moonpool {MOONPOOL:g} x {MOONPOOL:g} m "
             + ("open" if moonpool else f"closed {-DECK:g} m below the waterline"),
-            f"depth {DEPTH:g} m up to k h = 6, infinite above; about the PRP (0, 0, 0)",
+            f"depth {depth:g} m up to k h = 6, infinite above; about the PRP (0, 0, 0)",
             "damping from the far field (Haskind); added mass and excitation from pressure",
             f"before averaging: |A15 - A51| at most {asymmetry:.1e} of sqrt(A11 A55)",
             f"B33 from pressure within {pressure_difference:.1%} of the far field's, 0.3 to 1 rad/s",
@@ -236,10 +240,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Command line: compute one variant and write it to the data folder (or to `--output`)."""
     parser = argparse.ArgumentParser(description="hydrodynamic database of the barge")
     parser.add_argument("--moonpool", action="store_true", help="leave the moonpool open")
+    parser.add_argument("--deep", action="store_true", help="deep water at every frequency")
     parser.add_argument("--output", type=Path, help="file to write (default: the package's data folder)")
     options = parser.parse_args(arguments)
-    name = "barge_moonpool.json" if options.moonpool else "barge.json"
-    save(compute(options.moonpool), options.output or Path(__file__).parent / "data" / name)
+    name = "barge_moonpool.json" if options.moonpool else "barge_deep.json" if options.deep else "barge.json"
+    database = compute(options.moonpool, DEEP if options.deep else DEPTH)
+    save(database, options.output or Path(__file__).parent / "data" / name)
 
 
 if __name__ == "__main__":

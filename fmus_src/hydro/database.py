@@ -1,4 +1,4 @@
-"""The hydrodynamic database of the barge: linear potential-flow coefficients about the PRP, SI units.
+"""The hydrodynamic database of a platform: linear potential-flow coefficients about the PRP, SI units.
 
 Conventions: time factor exp(+i w t), phases lead positive; incident wave eta = a cos(w t - k (x cos b + y sin b))
 with heading b (0: along +x, downwind). Degrees of freedom 1..6: surge, sway, heave, roll, pitch, yaw, index 0..5.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -19,27 +19,32 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
 
-VARIANTS = {"closed": "barge.json", "moonpool": "barge_moonpool.json"}
+PACKAGED = {"closed": "barge.json", "moonpool": "barge_moonpool.json", "deep": "barge_deep.json"}
+# What a file lacks: the ITI Energy barge's (Jonkman, NREL/TP-500-41958, 2007).
+DEFAULTS = {"volume": 6000.0, "depth": 150.0, "density": 1025.0, "gravity": 9.80665}
+# Of sqrt(ii jj): coefficients ij and ji further apart are refused (coarse panels reach 0.07), or stated.
+NOT_RECIPROCAL, STATED = 0.10, 0.01
+NEGLIGIBLE = 1e-3  # of sqrt(ii jj): a coupling below this at all frequencies is the panels' noise
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class HydroDatabase:
-    """Linear hydrodynamic coefficients of a square barge.
+    """Linear hydrodynamic coefficients of one rigid body.
 
     Attributes:
-        variant: "closed" box or open "moonpool".
+        name: "closed" box, open "moonpool" or closed in "deep" water of the package, or the name of a file.
         omega: angular frequency, rad/s, shape (n,), increasing.
-        heading: wave heading, rad, shape (m,), from 0 to pi/2.
+        heading: wave heading, rad, shape (m,).
         added_mass: A(w), kg, kg m, kg m2, shape (n, 6, 6).
         added_mass_infinite: A at infinite frequency, shape (6, 6).
         damping: radiation damping B(w), N s/m, N s, N m s, shape (n, 6, 6).
         excitation: X(w, b), Froude-Krylov plus diffraction per metre of wave amplitude, N/m and N, shape (n, m, 6).
         stiffness: buoyancy and waterplane parts of the restoring matrix, N/m, N, N m, shape (6, 6).
         volume: displaced volume, m3. depth: water depth, m. density: kg/m3. gravity: m/s2.
-        provenance: how it was computed, one statement a line.
+        provenance: how it was computed or read, one statement a line.
     """
 
-    variant: str
+    name: str
     omega: Array
     heading: Array
     added_mass: Array
@@ -54,21 +59,145 @@ class HydroDatabase:
     provenance: tuple[str, ...]
 
 
-def coefficient_pairs() -> list[tuple[int, int]]:
-    """Index pairs of added mass and damping that are not zero by the symmetry of a square barge."""
-    return [(0, 0), (0, 4), (4, 0), (4, 4), (1, 1), (1, 3), (3, 1), (3, 3), (2, 2), (5, 5)]
+def load(
+    what: str | Path = "closed",
+    *,
+    volume: float | None = None,
+    depth: float | None = None,
+    density: float | None = None,
+    gravity: float | None = None,
+    unit_length: float = 1.0,
+) -> HydroDatabase:
+    """Load a database: of the package, or from a file.
+
+    Args:
+        what: "closed", "moonpool" or "deep"; or a path: a JSON file of this project, Capytaine's NetCDF (`.nc`), or
+            WAMIT files by their common root, "DIR/Barge" (or one of them, "DIR/Barge.1").
+        volume, depth, density, gravity: what the file lacks, m3, m, kg/m3, m/s2; default: the ITI Energy barge's. A
+            figure that the file states is taken from it.
+        unit_length: m, of the non-dimensional WAMIT coefficients (ULEN).
+
+    Raises:
+        ValueError: no such database, a file with missing or contradictory figures, or an argument that contradicts it.
+    """
+    given = {"volume": volume, "depth": depth, "density": density, "gravity": gravity}
+    path = Path(what)
+    if str(what) in PACKAGED:
+        result = _packaged(str(what))
+        stated(path.name, {key: getattr(result, key) for key in DEFAULTS}, given)
+        return result
+    if path.suffix == ".json" and path.is_file():
+        result = read(path)
+        stated(path.name, {key: getattr(result, key) for key in DEFAULTS}, given)
+    elif path.suffix == ".nc" and path.is_file():
+        from fmus_src.hydro.capytaine_file import read_capytaine
+
+        result = read_capytaine(path, given)
+    elif any(path.parent.glob(f"{_wamit_root(path).name}.[13]")):
+        from fmus_src.hydro.wamit_file import read_wamit
+
+        result = read_wamit(_wamit_root(path), given, unit_length)
+    else:
+        raise ValueError(
+            f"hydro: there is no database '{what}'; choose one of {', '.join(PACKAGED)}, a .json or .nc file, or the "
+            "root DIR/NAME of WAMIT's NAME.1, NAME.3 and NAME.hst"
+        )
+    return with_infinite(checked(result))
 
 
 @cache
-def load(variant: str = "closed") -> HydroDatabase:
-    """Load a database of the package.
+def _packaged(name: str) -> HydroDatabase:
+    return checked(replace(read(Path(__file__).parent / "data" / PACKAGED[name]), name=name))
+
+
+def _wamit_root(path: Path) -> Path:
+    return path.with_suffix("") if path.suffix in (".1", ".3", ".hst") else path
+
+
+def stated(file: str, found: dict[str, float], given: dict[str, float | None]) -> dict[str, float]:
+    """Volume, depth, density and gravity: as the file has them, else as given, else the defaults.
 
     Raises:
-        ValueError: unknown variant.
+        ValueError: one that is given contradicts the file's.
     """
-    if variant not in VARIANTS:
-        raise ValueError(f"hydro: variant '{variant}' is unknown; choose one of {', '.join(VARIANTS)}")
-    return read(Path(__file__).parent / "data" / VARIANTS[variant])
+    result = {}
+    for key, default in DEFAULTS.items():
+        own, asked = found.get(key), given.get(key)
+        if own is not None and asked is not None and abs(own - asked) > 1e-6 * abs(own):
+            raise ValueError(f"hydro: {file} states {key} {own:g}, not {asked:g}; leave the option out")
+        result[key] = own if own is not None else asked if asked is not None else default
+    return result
+
+
+def checked(database: HydroDatabase) -> HydroDatabase:
+    """The database with reciprocal matrices.
+
+    Raises:
+        ValueError: naming what is wrong: frequencies that do not rise, values that are no numbers, matrices that are
+            not reciprocal, negative damping, or a stiffness that the model has no place for.
+    """
+    d = database
+    falls = np.flatnonzero(np.diff(d.omega) <= 0.0)
+    if len(d.omega) < 8 or len(falls) or d.omega[0] <= 0.0:
+        where = f"they do not after {d.omega[falls[0]]:g} rad/s" if len(falls) else f"there are {len(d.omega)}"
+        raise ValueError(f"hydro: {d.name}: eight or more frequencies must rise from above zero; {where}")
+    for what in ("added_mass", "damping", "excitation", "stiffness"):
+        bad = np.argwhere(~np.isfinite(getattr(d, what)))
+        if len(bad):
+            raise ValueError(f"hydro: {d.name}: {what.replace('_', ' ')} is no number at index {bad[0].tolist()}")
+    negative = d.damping.diagonal(axis1=1, axis2=2).min(axis=0) + 0.02 * d.damping.diagonal(axis1=1, axis2=2).max(
+        axis=0
+    )
+    if (negative < 0.0).any():
+        worst = int(np.argmin(negative)) + 1
+        raise ValueError(f"hydro: {d.name}: damping {worst}{worst} is negative by more than 2 % of its maximum")
+    coupling = d.stiffness.copy()
+    coupling[np.ix_([2, 3, 4], [2, 3, 4])] = 0.0
+    if np.abs(coupling).max() > NEGLIGIBLE * np.abs(d.stiffness).max():
+        i, j = divmod(int(np.argmax(np.abs(coupling))), 6)
+        raise ValueError(
+            f"hydro: {d.name}: stiffness {i + 1}{j + 1} is not zero; only heave, roll and pitch may restore"
+        )
+    notes = list(d.provenance)
+    parts: dict[str, Any] = {}
+    for key in ("added_mass", "damping"):
+        matrices = getattr(d, key)
+        scale = np.abs(matrices).max(axis=0).diagonal()
+        parts[key], skew, pair = _reciprocal(d.name, key.replace("_", " "), matrices, scale)
+        if skew > STATED:
+            notes.append(
+                f"{key.replace('_', ' ')} {pair} and {pair[::-1]} differ by {skew:.1%} of the diagonal: averaged"
+            )
+    infinite = d.added_mass_infinite
+    scale = np.abs(d.added_mass).max(axis=0).diagonal()
+    infinite, _, _ = _reciprocal(d.name, "infinite-frequency added mass", infinite[None], scale)
+    return replace(d, **parts, added_mass_infinite=infinite[0], provenance=tuple(notes))
+
+
+def with_infinite(database: HydroDatabase) -> HydroDatabase:
+    """The database; an added mass at infinite frequency that it lacks (nan) follows from Ogilvie's relation.
+
+    A_inf = A(w) + 1/w integral K(t) sin(w t) dt is the same at all frequencies: the mean over them is taken.
+    """
+    if np.isfinite(database.added_mass_infinite).all():
+        return database
+    from fmus_src.hydro.radiation import added_mass_difference
+
+    found = database.added_mass - added_mass_difference(database, database.omega)
+    scale = np.sqrt(np.maximum(found.mean(axis=0).diagonal(), 1e-30))
+    spread = float((found.std(axis=0) / np.multiply.outer(scale, scale)).max())
+    note = f"no infinite frequency in the file: A_inf from damping and added mass (Ogilvie), within {spread:.1%}"
+    return replace(database, added_mass_infinite=found.mean(axis=0), provenance=(*database.provenance, note))
+
+
+def couplings(database: HydroDatabase) -> npt.NDArray[np.bool_]:
+    """Which degrees of freedom radiation couples, shape (6, 6): what is above the panels' noise at some frequency."""
+    result = np.eye(6, dtype=bool)
+    for matrix in (database.added_mass, database.damping):
+        largest = np.abs(matrix).max(axis=0)
+        scale = np.sqrt(np.multiply.outer(largest.diagonal(), largest.diagonal()))
+        result |= largest > NEGLIGIBLE * scale
+    return result
 
 
 def read(path: Path) -> HydroDatabase:
@@ -85,14 +214,14 @@ def read(path: Path) -> HydroDatabase:
             x = data["excitation"][str(i + 1)]
             excitation[:, :, i] = np.array(x["real"]).T + 1j * np.array(x["imag"]).T
         return HydroDatabase(
-            variant=data["variant"],
+            name=data["name"],
             omega=omega,
             heading=heading,
             added_mass=_full(data["added_mass"], len(omega)),
             added_mass_infinite=_full(data["added_mass_infinite"], 1)[0],
             damping=_full(data["damping"], len(omega)),
             excitation=excitation,
-            stiffness=np.diag(data["stiffness_diagonal"]),
+            stiffness=_full(data["stiffness"], 1)[0],
             volume=data["volume"],
             depth=data["depth"],
             density=data["density"],
@@ -101,19 +230,21 @@ def read(path: Path) -> HydroDatabase:
         )
     except KeyError as missing:
         raise ValueError(f"hydro: {path.name} lacks {missing}; write it anew with compute_database") from None
+    except (ValueError, TypeError) as error:
+        raise ValueError(f"hydro: {path.name}: lists of unlike length or no numbers ({error})") from None
 
 
 def save(database: HydroDatabase, path: Path) -> None:
     """Write a database as text: five significant digits, one coefficient a line over all frequencies."""
     d = database
     data = {
-        "variant": d.variant,
+        "name": d.name,
         "provenance": list(d.provenance),
         "units": "SI, about the PRP; exp(+i w t), lead positive; lists run over omega (rad/s)",
         "volume": d.volume, "depth": d.depth, "density": d.density, "gravity": d.gravity,
         "heading_deg": _digits(np.degrees(d.heading)),
-        "stiffness_diagonal": [float(f"{v:.8g}") for v in np.diag(d.stiffness)],
-        "omega": _digits(d.omega),
+        "stiffness": _entries(d.stiffness[None], 8),
+        "omega": _digits(d.omega, 8),
         "added_mass_infinite": _entries(d.added_mass_infinite[None]),
         "added_mass": _entries(d.added_mass),
         "damping": _entries(d.damping),
@@ -137,8 +268,23 @@ def wave_number(omega: Array, depth: float, gravity: float) -> Array:
     return np.asarray(x / depth)
 
 
-def _entries(matrices: Array) -> dict[str, list[float]]:
-    return {f"{i + 1}{j + 1}": _digits(matrices[:, i, j]) for i, j in coefficient_pairs()}
+def _reciprocal(name: str, what: str, matrices: Array, scale: Array) -> tuple[Array, float, str]:
+    """Symmetric part of matrices (n, 6, 6), largest skew part over `scale` (6,) of the diagonal, and its pair."""
+    root = np.sqrt(np.maximum(scale, 1e-30))
+    skew = np.abs(matrices - np.swapaxes(matrices, 1, 2)).max(axis=0) / np.multiply.outer(root, root)
+    i, j = sorted(divmod(int(np.argmax(skew)), 6))
+    pair = f"{i + 1}{j + 1}"
+    if skew[i, j] > NOT_RECIPROCAL:
+        raise ValueError(
+            f"hydro: {name}: {what} {pair} and {pair[::-1]} differ by {skew[i, j]:.0%} of the diagonal; "
+            "they must be equal: are both in the file, and of one reference point?"
+        )
+    return np.asarray((matrices + np.swapaxes(matrices, 1, 2)) / 2.0), float(skew[i, j]), pair
+
+
+def _entries(matrices: Array, digits: int = 5) -> dict[str, list[float]]:
+    largest = np.abs(matrices).max(axis=0)
+    return {f"{i + 1}{j + 1}": _digits(matrices[:, i, j], digits) for i, j in np.argwhere(largest > 0.0)}
 
 
 def _full(entries: dict[str, list[float]], count: int) -> Array:
@@ -152,10 +298,10 @@ def _rows(values: Array) -> list[list[float]]:
     return [_digits(column) for column in values.T]
 
 
-def _digits(values: Array) -> list[float]:
+def _digits(values: Array, digits: int = 5) -> list[float]:
     # Rounding noise of symmetry, ten orders below the largest value of the list, is written as zero.
     floor = 1e-7 * float(np.max(np.abs(values), initial=0.0))
-    return [float(f"{v:.5g}") if abs(v) > floor else 0.0 for v in values]
+    return [float(f"{v:.{digits}g}") if abs(v) > floor else 0.0 for v in values]
 
 
 def _one_list_a_line(text: str) -> str:

@@ -1,12 +1,13 @@
 """Excitation coefficients between the database's frequencies and headings.
 
-Over heading they are trigonometric sums with the symmetries of the barge, exact at the seven headings of the first
-quadrant: surge and pitch in cos((2m+1) b), heave in cos(2m b), sway and roll in sin((2m+1) b), yaw in sin(2m b). Over
-frequency the coefficients of these sums are cubic splines.
+Over heading: where the headings (with their images in the hull's planes of symmetry) go round the circle in even
+steps, trigonometric sums that are exact at all of them; else linear interpolation between neighbours. Over frequency
+the coefficients of these sums are cubic splines.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -15,33 +16,53 @@ import numpy.typing as npt
 from scipy.interpolate import BSpline, make_interp_spline
 
 from fmus_src.hydro.database import HydroDatabase
+from fmus_src.hydro.headings import Headings
 
 Array = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
 
 DOFS = ("surge", "sway", "heave", "roll", "pitch", "yaw")
-# Per degree of freedom: sine or cosine, first multiple of the heading (it rises by two).
-HARMONICS = (("cos", 1), ("sin", 1), ("cos", 0), ("sin", 1), ("cos", 1), ("sin", 2))
+SMALLEST = 2e-6  # of the excitation's maximum: terms that vanish by symmetry are left out
 
 
-def harmonics(dof: int, heading: Any, headings: int) -> Any:
-    """Values of the sum's functions at a heading in rad; symbolic, a column of shape (terms,)."""
-    function, multiples = _terms(dof, headings)
-    apply = ca.cos if function == "cos" else ca.sin
-    return ca.vertcat(*[apply(m * heading) for m in multiples])
+@dataclass(frozen=True)
+class HeadingSum:
+    """Excitation of one degree of freedom as a sum over functions of the heading.
+
+    Attributes:
+        terms: the functions: ("cos", m), ("sin", m) of m times the heading; or ("hat", j), one at heading j, zero at
+            its neighbours and linear between.
+        coefficients: shape (n, terms), N/m or N.
+    """
+
+    terms: tuple[tuple[str, int], ...]
+    coefficients: Complex
 
 
-def coefficients(database: HydroDatabase, dof: int) -> Complex:
-    """Coefficients of the sum at the database's frequencies, N or N m per metre, shape (n, terms)."""
-    function, multiples = _terms(dof, len(database.heading))
-    angles = np.multiply.outer(database.heading, multiples)
-    basis = np.cos(angles) if function == "cos" else np.sin(angles)
-    return np.asarray(np.linalg.lstsq(basis, database.excitation[:, :, dof].T, rcond=None)[0].T)
+def heading_sum(headings: Headings, dof: int) -> HeadingSum:
+    """The sum of a degree of freedom (0 to 5); it has one term at least."""
+    values = headings.excitation[:, :, dof]
+    m = len(headings.angle)
+    if not (headings.circle and headings.even):
+        return HeadingSum(tuple(("hat", j) for j in range(m)), values)
+    terms = [("cos", h) for h in range(m // 2 + 1)] + [("sin", h) for h in range(1, (m - 1) // 2 + 1)]
+    basis = np.column_stack([getattr(np, function)(h * headings.angle) for function, h in terms])
+    coefficients = np.asarray(np.linalg.lstsq(basis, values.T, rcond=None)[0].T)
+    largest = np.abs(coefficients).max(axis=0)
+    kept = np.flatnonzero(largest > SMALLEST * np.abs(values).max())
+    kept = kept if len(kept) else np.array([0])
+    return HeadingSum(tuple(terms[k] for k in kept), coefficients[:, kept])
 
 
-def control_points(database: HydroDatabase, dof: int) -> Complex:
-    """Control points of the cubic splines over frequency of the coefficients, shape (n, terms)."""
-    return np.asarray(make_interp_spline(database.omega, coefficients(database, dof), k=3).c)
+def functions(terms: tuple[tuple[str, int], ...], headings: Headings, heading: Any) -> Any:
+    """Values of a sum's functions at a heading in rad; symbolic, a column of shape (terms,)."""
+    apply = {"cos": ca.cos, "sin": ca.sin}
+    return ca.vertcat(*[_hat(headings, j, heading) if f == "hat" else apply[f](j * heading) for f, j in terms])
+
+
+def control_points(database: HydroDatabase, coefficients: Complex) -> Complex:
+    """Control points of the cubic splines over frequency of coefficients (n, terms), same shape."""
+    return np.asarray(make_interp_spline(database.omega, coefficients, k=3).c)
 
 
 def spline_basis(database: HydroDatabase, omega: Array) -> Any:
@@ -57,17 +78,23 @@ def spline_basis(database: HydroDatabase, omega: Array) -> Any:
     return BSpline.design_matrix(omega, knots, 3)
 
 
-def at_frequency(database: HydroDatabase, dof: int, omega: Any) -> tuple[Any, Any]:
-    """Real and imaginary parts of the coefficients at one symbolic frequency, two columns of shape (terms,)."""
-    values = coefficients(database, dof)
-    columns = np.hstack([values.real, values.imag])
-    spline = ca.interpolant(f"excitation_{DOFS[dof]}", "bspline", [database.omega.tolist()], columns.ravel().tolist())
+def at_frequency(database: HydroDatabase, name: str, coefficients: Complex, omega: Any) -> tuple[Any, Any]:
+    """Real and imaginary parts of coefficients (n, terms) at one symbolic frequency, two columns of shape (terms,)."""
+    columns = np.hstack([coefficients.real, coefficients.imag])
+    spline = ca.interpolant(f"excitation_{name}", "bspline", [database.omega.tolist()], columns.ravel().tolist())
     result = spline(omega)
-    return result[: values.shape[1]], result[values.shape[1] :]
+    terms = coefficients.shape[1]
+    return result[:terms], result[terms:]
 
 
-def _terms(dof: int, headings: int) -> tuple[str, list[int]]:
-    function, first = HARMONICS[dof]
-    # A term that vanishes at 0 or at 90 deg leaves that heading to no unknown.
-    counts = {("cos", 0): headings, ("cos", 1): headings - 1, ("sin", 1): headings - 1, ("sin", 2): headings - 2}
-    return function, [first + 2 * m for m in range(counts[function, first])]
+def _hat(headings: Headings, j: int, heading: Any) -> Any:
+    """One at heading j and zero at its neighbours; symbolic."""
+    angle, m = headings.angle, len(headings.angle)
+    if m == 1:
+        return ca.MX(1.0)
+    distance = heading - angle[j]
+    if headings.circle:
+        distance -= 2.0 * ca.pi * ca.floor((distance + ca.pi) / (2.0 * ca.pi))
+    before = np.mod(angle[j] - angle[j - 1], 2.0 * np.pi)
+    after = np.mod(angle[(j + 1) % m] - angle[j], 2.0 * np.pi)
+    return ca.fmax(0.0, ca.fmin(1.0 + distance / before, 1.0 - distance / after))

@@ -1,13 +1,14 @@
-"""Waves and potential flow on the barge: hydrostatics, radiation memory, wave excitation, viscous drag.
+"""Waves and potential flow on a floating platform: hydrostatics, radiation memory, wave excitation, viscous drag.
 
 Linear theory about the mean position, as HydroDyn's (Jonkman, NREL/TP-500-41958, 2007, section 2.3); all loads at the
 platform reference point (PRP) and in global axes. The force -A_inf * acceleration is NOT in the outputs: it belongs to
-the barge's mass matrix (its parameter is `database.load(variant).added_mass_infinite`). Neither is the weight.
+the platform's mass matrix, to which the output `added_mass` goes. Neither is the weight.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -15,16 +16,19 @@ import numpy as np
 import numpy.typing as npt
 
 from fmus_src.component import Component
-from fmus_src.hydro import excitation, waves
+from fmus_src.hydro import excitation, given_sea, headings, waves
 from fmus_src.hydro.database import HydroDatabase, load, wave_number
-from fmus_src.hydro.radiation import radiation_model
+from fmus_src.hydro.radiation import RadiationModel, radiation_model
 
 Array = npt.NDArray[np.float64]
 
 COMPONENTS = 360  # of the irregular sea
-DRAFT = 4.0  # m, length of the drag member, from the keel to mean sea level
-# Three Gauss points (position over the draft, share of it) integrate the drag over depth.
-GAUSS = tuple((DRAFT * (-0.5 + 0.5 * x), 0.5 * w) for x, w in zip(*np.polynomial.legendre.leggauss(3), strict=True))
+STIFFNESS = (
+    ("heave", 2, 2, "N/m"), ("roll", 3, 3, "N.m/rad"), ("pitch", 4, 4, "N.m/rad"), ("heave_roll", 2, 3, "N/rad"),
+    ("heave_pitch", 2, 4, "N/rad"), ("roll_pitch", 3, 4, "N.m/rad"),
+)  # fmt: skip
+# What a database must reach, rad/s, for waves of a spectrum: its tails beyond would be missed.
+SPECTRUM = (0.3, 1.5)
 
 
 @dataclass(frozen=True)
@@ -47,37 +51,103 @@ class _Train:
     up: list[Any]  # vertical one
 
 
-def component(variant: str = "closed", sea: waves.WaveComponents | None = None) -> Component:
-    """The barge's hydrodynamics.
+@dataclass(frozen=True)
+class _Water:
+    """What the parts share: coefficients, their headings, and where the drag is integrated."""
+
+    database: HydroDatabase
+    headings: headings.Headings
+    sums: tuple[excitation.HeadingSum, ...]  # per degree of freedom
+    draft: float  # m
+    gauss: tuple[tuple[float, float], ...]  # depth of a point (m), its share of the draft
+
+
+def component(
+    database: str | HydroDatabase = "closed",
+    sea: str | Path | waves.WaveComponents | None = None,
+    displaced_volume: float | None = None,
+    water_depth: float | None = None,
+    water_density: float | None = None,
+    gravity: float | None = None,
+    unit_length: float = 1.0,
+    draft: float = 4.0,
+) -> Component:
+    """The platform's hydrodynamics.
 
     Args:
-        variant: database: "closed" box or open "moonpool".
-        sea: a given sea (elevation at x = y = 0) in place of the irregular one from Hs, Tp, gamma and seed.
+        database: coefficients: "closed", "moonpool" or "deep" (the ITI Energy barge), or a path as `database.load`
+            takes it: a JSON file, Capytaine's NetCDF (`.nc`), or the root of WAMIT's files ("DIR/Barge").
+        sea: a given sea in place of the irregular one from Hs, Tp, gamma and seed: components, or a file of components
+            or of an elevation record (see `given_sea.read`).
+        displaced_volume, water_depth, water_density, gravity: m3, m, kg/m3, m/s2: what the file lacks (default: the
+            barge's 6000, 150, 1025, 9.80665).
+        unit_length: m, ULEN of WAMIT's files.
+        draft: m, length of the drag member from mean sea level down.
 
     Raises:
-        ValueError: unknown variant, or a given sea outside the database's frequencies.
+        ValueError: as `database.load`; a sea outside the database's frequencies.
     """
-    c = Component("hydro", "Waves, hydrostatics, radiation and viscous drag of the barge", symbols="MX")
-    database = load(variant)
-    heading = c.parameter("heading", 0.0, unit="rad", display_unit="deg", description="direction the waves travel to")
-    irregular = _irregular(c, database, heading) if sea is None else _given(c, database, heading, sea)
-    regular = _regular(c, database, heading)
+    if not isinstance(database, HydroDatabase):
+        database = load(
+            database, volume=displaced_volume, depth=water_depth, density=water_density, gravity=gravity,
+            unit_length=unit_length,
+        )  # fmt: skip
+    if not draft > 0.0:
+        raise ValueError(f"hydro: draft {draft:g} m must be above 0")
+    c = Component("hydro", "Waves, hydrostatics, radiation and viscous drag of the platform", symbols="MX")
+    water = _water(database, draft)
+    heading = _heading(c, water)
+    if sea is None:
+        irregular = _irregular(c, water, heading)
+        sea_note = f"JONSWAP sea of {COMPONENTS} components"
+    else:
+        found = sea if isinstance(sea, waves.WaveComponents) else given_sea.read(Path(sea))
+        found, sea_note = given_sea.within(found, float(database.omega[0]), float(database.omega[-1]))
+        irregular = _given(c, water, heading, found)
+    regular = _regular(c, water, heading)
     motion = _motion(c)
+    memory = radiation_model(database)
     static = _hydrostatics(c, database, motion)
-    memory = _radiation(c, variant, motion)
-    loads = static + memory + irregular.loads + regular.loads
+    loads = static + _radiation(c, memory, motion) + irregular.loads + regular.loads
     along = [a + b for a, b in zip(irregular.along, regular.along, strict=True)]
     up = [a + b for a, b in zip(irregular.up, regular.up, strict=True)]
-    drag_force, drag_moment = _drag(c, database, motion, heading, along, up)
-    c.output("force", loads[:3] + drag_force, unit="N", nominal=1e6, description="force on the barge, global frame")
+    drag_force, drag_moment = _drag(c, water, motion, heading, along, up)
+    c.output("force", loads[:3] + drag_force, unit="N", nominal=1e6, description="force on the platform, global frame")
     c.output(
         "moment", loads[3:] + drag_moment, unit="N.m", nominal=1e7,
-        description="moment on the barge about the platform reference point, global frame",
+        description="moment on the platform about its reference point, global frame",
     )  # fmt: skip
     c.output(
         "wave_elevation", irregular.elevation + regular.elevation, unit="m", description="wave elevation at x = y = 0"
     )
+    c.output(
+        "added_mass", database.added_mass_infinite, nominal=1e7,
+        description="infinite-frequency added mass about the platform reference point, constant: kg, kg.m, kg.m2",
+    )  # fmt: skip
+    facts = (f"database {database.name}", *database.provenance, water.headings.note, memory.statement, sea_note)
+    c.description += ". " + ". ".join(fact[:1].upper() + fact[1:] for fact in facts)
     return c
+
+
+def _water(database: HydroDatabase, draft: float) -> _Water:
+    covered = headings.covered(database)
+    # Three Gauss points integrate the drag over depth.
+    points = zip(*np.polynomial.legendre.leggauss(3), strict=True)
+    gauss = tuple((draft * (-0.5 + 0.5 * float(x)), 0.5 * float(w)) for x, w in points)
+    sums = tuple(excitation.heading_sum(covered, dof) for dof in range(6))
+    return _Water(database, covered, sums, draft, gauss)
+
+
+def _heading(c: Component, water: _Water) -> Any:
+    """The waves' heading, bounded to what the database covers."""
+    covered = water.headings
+    low, high, start = None, None, 0.0
+    if not covered.circle:
+        low, high = float(covered.angle[0]) - headings.TOUCH, float(covered.angle[-1]) + headings.TOUCH
+        start = min(max(0.0, float(covered.angle[0])), float(covered.angle[-1]))
+    return c.parameter(
+        "heading", start, unit="rad", display_unit="deg", min=low, max=high, description="direction the waves travel to"
+    )
 
 
 def _motion(c: Component) -> _Motion:
@@ -95,24 +165,22 @@ def _hydrostatics(c: Component, database: HydroDatabase, motion: _Motion) -> Any
     volume = c.parameter(
         "displaced_volume", database.volume, unit="m3", min=0.0, description="displaced volume at rest"
     )
-    heave = c.parameter(
-        "heave_stiffness", database.stiffness[2, 2], unit="N/m", min=0.0, description="waterplane stiffness C33"
-    )
-    pitch = c.parameter(
-        "pitch_stiffness", database.stiffness[4, 4], unit="N.m/rad",
-        description="C44 = C55: waterplane and buoyancy parts, without the weight's",
-    )  # fmt: skip
+    stiffness = {
+        name: c.parameter(f"{name}_stiffness", database.stiffness[i, j], unit=unit, min=0.0 if i == j == 2 else None,
+                          description=f"C{i + 1}{j + 1} = C{j + 1}{i + 1}: waterplane and buoyancy, without the weight")
+        for name, i, j, unit in STIFFNESS
+    }  # fmt: skip
+    matrix = ca.MX.zeros(3, 3)
+    for name, i, j, _ in STIFFNESS:
+        matrix[i - 2, j - 2] = stiffness[name]
+        matrix[j - 2, i - 2] = stiffness[name]
     cos, sin = ca.cos(motion.rotation[2]), ca.sin(motion.rotation[2])
-    roll_moment, pitch_moment = -pitch * motion.rotation[0], -pitch * motion.rotation[1]
-    return ca.vertcat(
-        0, 0, weight * volume - heave * motion.position[2],
-        cos * roll_moment - sin * pitch_moment, sin * roll_moment + cos * pitch_moment, 0,
-    )  # fmt: skip
+    heave, roll, pitch = ca.vertsplit(-ca.mtimes(matrix, ca.vertcat(motion.position[2], motion.rotation[:2])))
+    return ca.vertcat(0, 0, weight * volume + heave, cos * roll - sin * pitch, sin * roll + cos * pitch, 0)
 
 
-def _radiation(c: Component, variant: str, motion: _Motion) -> Any:
+def _radiation(c: Component, model: RadiationModel, motion: _Motion) -> Any:
     """Radiation memory -c x of the fitted state-space model."""
-    model = radiation_model(variant)
     active = c.parameter(
         "radiation_memory", 1.0, kind="boolean", description="0: infinite-frequency added mass only (no memory)"
     )
@@ -124,13 +192,19 @@ def _radiation(c: Component, variant: str, motion: _Motion) -> Any:
     return -active * ca.mtimes(out, x)
 
 
-def _irregular(c: Component, database: HydroDatabase, heading: Any) -> _Train:
+def _irregular(c: Component, water: _Water, heading: Any) -> _Train:
     """The JONSWAP sea."""
+    low, high = (float(water.database.omega[n]) for n in (0, -1))
+    if low > SPECTRUM[0] or high < SPECTRUM[1]:
+        raise ValueError(
+            f"hydro: {water.database.name}: {low:g} to {high:g} rad/s is too narrow for a wave spectrum, which needs "
+            f"{SPECTRUM[0]:g} to {SPECTRUM[1]:g} rad/s; compute more frequencies or give a sea"
+        )
     hs = c.parameter("Hs", 4.0, unit="m", min=0.0, description="significant wave height; 0: still water")
     tp = c.parameter("Tp", 12.5, unit="s", min=4.0, max=25.0, description="peak period")
     gamma = c.parameter("gamma", 0.0, min=0.0, max=10.0, description="peak enhancement; 0: formula of IEC 61400-3")
     seed = c.parameter("seed", 1, kind="integer", min=0, max=2**31 - 1, description="seed of the random phases")
-    omega, width = waves.frequency_cells(COMPONENTS)
+    omega, width = waves.frequency_cells(COMPONENTS, max(low, waves.LOWEST), min(high, waves.HIGHEST))
     enhancement = ca.if_else(gamma > 0, ca.fmax(gamma, 1e-3), waves.peak_enhancement(hs, tp))
     amplitude = c.calculated(
         "wave.amplitude", waves.amplitudes(omega, width, hs, tp, enhancement), unit="m", internal=True,
@@ -140,57 +214,81 @@ def _irregular(c: Component, database: HydroDatabase, heading: Any) -> _Train:
         "wave.phase", waves.phases(seed, COMPONENTS), unit="rad", internal=True,
         description="e in cos(w t + e) at x = y = 0",
     )  # fmt: skip
-    return _spectrum(c, database, heading, omega, amplitude, phase)
-
-
-def _given(c: Component, database: HydroDatabase, heading: Any, sea: waves.WaveComponents) -> _Train:
-    amplitude = c.parameter("wave.amplitude", sea.amplitude, unit="m", description="of the components")
-    phase = c.parameter("wave.phase", sea.phase, unit="rad", description="e in cos(w t + e) at x = y = 0")
-    return _spectrum(c, database, heading, sea.omega, amplitude, phase)
-
-
-def _spectrum(c: Component, database: HydroDatabase, heading: Any, omega: Array, amplitude: Any, phase: Any) -> _Train:
-    """Waves of frequencies known when the component is built."""
     angle = ca.DM(omega) * c.time + phase
-    cosine, sine = amplitude * ca.cos(angle), amplitude * ca.sin(angle)
+    return _spectrum(c, water, heading, omega, amplitude * ca.cos(angle), amplitude * ca.sin(angle))
+
+
+def _given(c: Component, water: _Water, heading: Any, sea: waves.WaveComponents) -> _Train:
+    """A given sea; of evenly spaced frequencies, as Fourier series have them, it costs less."""
+    step = waves.spacing(sea.omega)
+    grid = waves.on_grid(sea, step) if step else sea
+    if step and len(grid.omega) < 3 * len(sea.omega) + waves.COLUMNS:
+        cosine, sine = waves.grid_oscillations(grid, step, c.time)
+        # What fills the grid has no amplitude: its frequency is of no account but must be the database's.
+        omega = np.clip(grid.omega, water.database.omega[0], water.database.omega[-1])
+    else:
+        cosine, sine = waves.oscillations(sea, c.time)
+        omega = sea.omega
+    return _spectrum(c, water, heading, omega, cosine, sine)
+
+
+def _spectrum(c: Component, water: _Water, heading: Any, omega: Array, cosine: Any, sine: Any) -> _Train:
+    """Waves a cos(w t + e) and a sin(w t + e) of frequencies known when the component is built."""
+    database = water.database
     # Summing the waves into the spline's basis first takes four products a wave instead of twelve, and few parameters.
     basis = ca.sparsify(ca.DM(excitation.spline_basis(database, omega).toarray().T))
     cosine_sums, sine_sums = ca.mtimes(basis, cosine), ca.mtimes(basis, sine)
     loads = []
     for dof, name in enumerate(excitation.DOFS):
-        sum_over_heading = excitation.harmonics(dof, heading, len(database.heading))
-        points = excitation.control_points(database, dof)
+        over_heading = excitation.functions(water.sums[dof].terms, water.headings, heading)
+        points = excitation.control_points(database, water.sums[dof].coefficients)
         real, imag = (
             c.calculated(
-                f"wave.{name}_{part}", ca.mtimes(ca.DM(values), sum_over_heading), unit="N/m" if dof < 3 else "N",
+                f"wave.{name}_{part}", ca.mtimes(ca.DM(values), over_heading), unit="N/m" if dof < 3 else "N",
                 internal=True,
                 description=f"{part} part of the {name} excitation (lead positive): spline over frequency",
             )
             for part, values in (("real", points.real), ("imaginary", points.imag))
         )  # fmt: skip
         loads.append(ca.dot(real, cosine_sums) - ca.dot(imag, sine_sums))
-    k = ca.DM(wave_number(omega, database.depth, database.gravity))
     along, up = [], []
-    for z, _ in GAUSS:
-        horizontal, vertical = waves.depth_profiles(k, z, database.depth)
-        along.append(ca.dot(ca.DM(omega) * horizontal, cosine))
-        up.append(-ca.dot(ca.DM(omega) * vertical, sine))
-    return _Train(ca.sum1(cosine), ca.vertcat(*loads), along, up)
+    for horizontal, vertical in _kinematics(water):
+        along.append(ca.dot(ca.DM(horizontal), cosine_sums))
+        up.append(-ca.dot(ca.DM(vertical), sine_sums))
+    # The basis functions add up to one at every frequency.
+    return _Train(ca.sum1(cosine_sums), ca.vertcat(*loads), along, up)
 
 
-def _regular(c: Component, database: HydroDatabase, heading: Any) -> _Train:
+def _kinematics(water: _Water) -> list[tuple[Array, Array]]:
+    """Control points over frequency of w cosh k(z + h) / sinh k h and w sinh k(z + h) / sinh k h, per Gauss point."""
+    omega = water.database.omega
+    k = wave_number(omega, water.database.depth, water.database.gravity)
+    profiles = [waves.depth_profiles(ca.DM(k), z, water.database.depth) for z, _ in water.gauss]
+    return [
+        (_points(water.database, omega * np.array(h).ravel()), _points(water.database, omega * np.array(v).ravel()))
+        for h, v in profiles
+    ]
+
+
+def _points(database: HydroDatabase, values: Array) -> Array:
+    return np.asarray(excitation.control_points(database, values[:, None].astype(complex)).real)
+
+
+def _regular(c: Component, water: _Water, heading: Any) -> _Train:
     """A regular wave added to the sea."""
+    database = water.database
     amplitude = c.parameter("regular_wave.amplitude", 0.0, unit="m", min=0.0, description="0: no regular wave")
     period = c.parameter(
-        "regular_wave.period", 12.5, unit="s", min=2.1, max=125.0, description="period of the regular wave"
-    )
+        "regular_wave.period", 12.5, unit="s", min=2.0 * np.pi / float(database.omega[-1]),
+        max=2.0 * np.pi / float(database.omega[0]), description="period of the regular wave",
+    )  # fmt: skip
     phase = c.parameter("regular_wave.phase", 0.0, unit="rad", description="e in cos(w t + e) at x = y = 0")
     omega = 2.0 * ca.pi / period
     terms: list[Any] = []
     for dof in range(6):
-        sum_over_heading = excitation.harmonics(dof, heading, len(database.heading))
-        real, imag = excitation.at_frequency(database, dof, omega)
-        terms += [ca.dot(real, sum_over_heading), ca.dot(imag, sum_over_heading)]
+        over_heading = excitation.functions(water.sums[dof].terms, water.headings, heading)
+        parts = excitation.at_frequency(database, excitation.DOFS[dof], water.sums[dof].coefficients, omega)
+        terms += [ca.dot(part, over_heading) for part in parts]
     per_metre = c.calculated(
         "regular_wave.excitation", ca.vertcat(*terms),
         description="real and imaginary parts of the excitation per metre of amplitude, surge to yaw, N/m and N",
@@ -202,14 +300,14 @@ def _regular(c: Component, database: HydroDatabase, heading: Any) -> _Train:
     angle = omega * c.time + phase
     cosine, sine = amplitude * ca.cos(angle), amplitude * ca.sin(angle)
     loads = ca.vertcat(*[per_metre[2 * i] * cosine - per_metre[2 * i + 1] * sine for i in range(6)])
-    profiles = [waves.depth_profiles(k, z, database.depth) for z, _ in GAUSS]
+    profiles = [waves.depth_profiles(k, z, database.depth) for z, _ in water.gauss]
     return _Train(
         cosine, loads, [omega * h * cosine for h, _ in profiles], [-omega * v * sine for _, v in profiles]
     )  # fmt: skip
 
 
 def _drag(
-    c: Component, database: HydroDatabase, motion: _Motion, heading: Any, along: list[Any], up: list[Any]
+    c: Component, water: _Water, motion: _Motion, heading: Any, along: list[Any], up: list[Any]
 ) -> tuple[Any, Any]:
     """Morison drag on a vertical circular member: force (3,) and moment about the PRP (3,).
 
@@ -218,7 +316,7 @@ def _drag(
     """
     coefficient = c.parameter("drag_coefficient", 1.0, min=0.0, description="transverse drag coefficient", tunable=True)
     diameter = c.parameter("drag_diameter", 45.1352, unit="m", min=0.0, description="diameter of the drag member")
-    factor = 0.5 * database.density * coefficient * diameter * DRAFT
+    factor = 0.5 * water.database.density * coefficient * diameter * water.draft
     sines, cosines = ca.sin(motion.rotation), ca.cos(motion.rotation)
     # Third column of Rz Ry Rx: the platform's z axis.
     axis = ca.vertcat(
@@ -227,10 +325,10 @@ def _drag(
         cosines[1] * cosines[0],
     )
     force, moment = ca.MX.zeros(3), ca.MX.zeros(3)
-    for (z, share), horizontal, vertical in zip(GAUSS, along, up, strict=True):
+    for (z, share), horizontal, vertical in zip(water.gauss, along, up, strict=True):
         arm = z * axis
-        water = ca.vertcat(ca.cos(heading) * horizontal, ca.sin(heading) * horizontal, vertical)
-        relative = water - motion.velocity - ca.cross(motion.angular_velocity, arm)
+        flow = ca.vertcat(ca.cos(heading) * horizontal, ca.sin(heading) * horizontal, vertical)
+        relative = flow - motion.velocity - ca.cross(motion.angular_velocity, arm)
         normal = relative - ca.dot(relative, axis) * axis
         # The small term keeps the derivative finite where the relative velocity vanishes.
         part = factor * share * ca.sqrt(ca.sumsqr(normal) + 1e-12) * normal

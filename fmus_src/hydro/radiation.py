@@ -14,28 +14,33 @@ linear least-squares problem under what the physics demands:
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import lru_cache
+from itertools import combinations_with_replacement
 
 import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 from scipy.linalg import block_diag, null_space
 from scipy.optimize import nnls
+from scipy.sparse.csgraph import connected_components
 
-from fmus_src.hydro.database import HydroDatabase, load
+from fmus_src.hydro.database import HydroDatabase, couplings
 
 Array = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complex128]
 
-# Coupled degrees of freedom; sway-roll is surge-pitch turned by 90 deg.
-GROUPS: dict[str, tuple[int, ...]] = {"surge-pitch": (0, 4), "heave": (2,), "yaw": (5,)}
-POLES = 6  # of each group
+POLES = (6, 8, 10, 12)  # of each group of coupled degrees of freedom; the first number that fits well is taken
+GOOD, POOR = 0.05, 0.10  # relative L2 error of K(t): no more poles are tried; the fit is warned of
 # Beyond the database the damping is continued as (w_last / w)^n: a vertical wall of depth much above the wave length
 # radiates waves of amplitude 2 v / w, hence B11 ~ w^-3, and the moment's arm brings 1/k = g / w^2 for each index of
-# pitch. Heave radiates from the bottom: exp(-2 k d), nothing is left.
-TAIL_EXPONENT = {(0, 0): 3, (0, 4): 5, (4, 0): 5, (4, 4): 7, (1, 1): 3, (1, 3): 5, (3, 1): 5, (3, 3): 7, (5, 5): 3}
+# roll and pitch. Heave radiates from the bottom, exp(-2 k d) for draft d, of which w^-8 leaves as little.
+TAIL_EXPONENT = np.add.outer(*2 * (np.array([1.5, 1.5, 4.0, 3.5, 3.5, 1.5]),))
+# Roll and pitch resonate where they radiate little: there a small error of K is a large one of their damping.
+EMPHASIS, RESONANCE = 4.0, 0.6  # weight of the fit below a frequency, rad/s
+ROUNDS = 60  # of cutting planes
 SPACING, HIGHEST = 0.005, 40.0  # rad/s, quadrature of the cosine transform
 
 
@@ -46,8 +51,8 @@ class RadiationModel:
     Attributes:
         a: (n, n), 1/s, block diagonal with 1x1 and 2x2 blocks. b: (n, 6). c: (6, n).
             v is the PRP's velocity (m/s, rad/s), c x in N and N m.
-        retardation_error: relative L2 error of K(t), 0 to 60 s, per group (joint over its elements, each scaled by
-            the maxima of the diagonal).
+        retardation_error: relative L2 error of K(t), 0 to 60 s, of each pair by its name ("11", "15", ...); couplings
+            are relative to the geometric mean of their diagonals.
         damping_error, added_mass_error: the same over the database's frequencies for B(w) and w (A(w) - A_inf).
     """
 
@@ -57,6 +62,12 @@ class RadiationModel:
     retardation_error: dict[str, float]
     damping_error: dict[str, float]
     added_mass_error: dict[str, float]
+
+    @property
+    def statement(self) -> str:
+        """The errors of K(t) in one line."""
+        errors = ", ".join(f"{pair} {error:.1%}" for pair, error in self.retardation_error.items())
+        return f"radiation memory of {len(self.a)} states, relative L2 error of K(t) by pair: {errors or 'none'}"
 
     def response(self, omega: Array) -> Complex:
         """K(i w), N s/m and so on, shape (len(omega), 6, 6)."""
@@ -83,8 +94,7 @@ def continued_damping(database: HydroDatabase) -> tuple[Array, Array]:
     )  # fmt: skip
     damping = np.zeros((len(grid), 6, 6))
     damping[inside] = spline(grid[inside])
-    for (i, j), exponent in TAIL_EXPONENT.items():
-        damping[~inside, i, j] = database.damping[-1, i, j] * (last / grid[~inside]) ** exponent
+    damping[~inside] = database.damping[-1] * (last / grid[~inside, None, None]) ** TAIL_EXPONENT
     return grid, damping
 
 
@@ -119,38 +129,69 @@ def added_mass_difference(database: HydroDatabase, omega: Array) -> Array:
     return result
 
 
-@cache
-def radiation_model(variant: str = "closed") -> RadiationModel:
-    """The fitted model of a variant of the package's database; see `fit`."""
-    return fit(load(variant))
+@lru_cache(maxsize=8)
+def radiation_model(database: HydroDatabase) -> RadiationModel:
+    """The fitted model of a database; see `fit`. A poor fit (above 10 % in K(t) of a pair) is warned of."""
+    model = fit(database)
+    poor = [pair for pair, error in model.retardation_error.items() if error > POOR]
+    if poor:
+        warnings.warn(
+            f"hydro: {database.name}: poor fit of {', '.join(poor)}; {model.statement}; resonances need finer "
+            "frequencies, and damping that has not died out at the highest more of them",
+            stacklevel=2,
+        )
+    return model
+
+
+def groups(database: HydroDatabase) -> list[tuple[int, ...]]:
+    """Degrees of freedom that radiation couples with each other; those that radiate nothing are left out."""
+    count, labels = connected_components(couplings(database), directed=False)
+    reactance = np.abs(database.omega[:, None, None] * database.added_mass).max(axis=0).diagonal()
+    radiates = database.damping.max(axis=0).diagonal() > 1e-6 * np.maximum(reactance, 1e-30)
+    members = [tuple(int(i) for i in np.flatnonzero((labels == n) & radiates)) for n in range(count)]
+    return [dofs for dofs in members if dofs]
 
 
 def fit(database: HydroDatabase) -> RadiationModel:
-    """Fit the radiation model of a database; takes about two seconds."""
+    """Fit the radiation model of a database; takes some seconds."""
     # The tail beyond the database holds a third of K(0) in surge, hence it takes part in the fit.
     last = float(database.omega[-1])
     omega = np.r_[database.omega, np.arange(last + 0.1, 4.0 * last, 0.1)]
     grid, damping = continued_damping(database)
     target = CubicSpline(grid, damping)(omega) + 1j * omega[:, None, None] * added_mass_difference(database, omega)
-    weight = np.sqrt(np.gradient(omega))
-    blocks: list[tuple[Array, Array, Array]] = []
-    for dofs in GROUPS.values():
-        index = np.ix_(range(len(omega)), dofs, dofs)
-        scale = np.sqrt(np.array([database.damping[:, i, i].max() for i in dofs]))
-        scaled = target[index] / np.multiply.outer(scale, scale)
-        poles = fit_poles(omega, scaled, weight, POLES)
-        a, b, c = realisation(poles, fit_residues(omega, scaled, weight, poles))
-        selection = np.zeros((len(dofs), 6))
-        selection[range(len(dofs)), dofs] = scale
-        blocks.append((a, b @ selection, selection.T @ c))
-        if dofs == (0, 4):
-            turned = np.zeros((2, 6))
-            turned[0, 1], turned[1, 3] = scale[0], -scale[1]
-            blocks.append((a, b @ turned, turned.T @ c))
+    members = groups(database)
+    blocks = [_fit_group(database, dofs, omega, target) for dofs in members]
+    if not blocks:
+        raise ValueError(f"hydro: {database.name} has no radiation damping at all")
     a = block_diag(*[block[0] for block in blocks])
     b = np.vstack([block[1] for block in blocks])
     c = np.hstack([block[2] for block in blocks])
-    return _with_errors(RadiationModel(a, b, c, {}, {}, {}), database, target[: len(database.omega)])
+    return _with_errors(RadiationModel(a, b, c, {}, {}, {}), database, members, target[: len(database.omega)])
+
+
+def _fit_group(
+    database: HydroDatabase, dofs: tuple[int, ...], omega: Array, target: Complex
+) -> tuple[Array, Array, Array]:
+    """Realisation a, b (n, 6), c (6, n) of one group, with as many poles as it takes."""
+    scale = np.sqrt(np.array([database.damping[:, i, i].max() for i in dofs]))
+    scaled = target[np.ix_(range(len(omega)), dofs, dofs)] / np.multiply.outer(scale, scale)
+    weight = np.sqrt(np.gradient(omega))
+    if {3, 4} & set(dofs):
+        weight *= 1.0 + EMPHASIS * np.exp(-((omega / RESONANCE) ** 4))
+    selection = np.zeros((len(dofs), 6))
+    selection[range(len(dofs)), dofs] = scale
+    best, least = None, np.inf
+    for count in POLES:
+        poles = fit_poles(omega, scaled, weight, count)
+        a, b, c = realisation(poles, fit_residues(omega, scaled, weight, poles))
+        model = RadiationModel(a, b @ selection, selection.T @ c, {}, {}, {})
+        errors = _with_errors(model, database, [dofs], target[: len(database.omega)]).retardation_error
+        if max(errors.values()) < least:
+            best, least = model, max(errors.values())
+        if least < GOOD:
+            break
+    assert best is not None
+    return best.a, best.b, best.c
 
 
 def fit_poles(omega: Array, target: Complex, weight: Array, count: int, iterations: int = 40) -> Complex:
@@ -188,18 +229,19 @@ def fit_residues(omega: Array, target: Complex, weight: Array, poles: Complex) -
     )
     steady = _real_basis(np.zeros(1), poles).real
     free = null_space(np.kron(np.eye(elements), steady))
-    checked = np.r_[np.linspace(0.005, 6.0, 1200), np.geomspace(6.0, 100.0 * omega[-1], 200)]
+    checked = np.r_[
+        np.geomspace(1e-4, 4e-3, 10), np.linspace(0.005, 6.0, 1200), np.geomspace(6.0, 100 * omega[-1], 200)
+    ]
     real = _real_basis(checked, poles).real * np.maximum(1.0, checked / omega[-1])[:, None] ** 2
     # Asking for a little more than zero makes the cutting planes converge; near w = 0 it must vanish with K.
     margin = 2e-5 * np.minimum(1.0, checked**2)
     cuts: list[Array] = []
     bounds: list[float] = []
-    solution = free @ _inequality_least_squares(matrix @ free, right, np.zeros((0, free.shape[1])), np.zeros(0))
-    for _ in range(60):
-        values = np.zeros((len(checked), q, q))
-        for e, (i, j) in enumerate(zip(rows, columns, strict=True)):
-            values[:, i, j] = values[:, j, i] = real @ solution[e * n : (e + 1) * n]
-        smallest, vectors = np.linalg.eigh(values)
+    q_factor, r_factor = np.linalg.qr(matrix @ free)
+    unconstrained = np.linalg.solve(r_factor, q_factor.T @ right)
+    solution = free @ unconstrained
+    for _ in range(ROUNDS):
+        smallest, vectors = np.linalg.eigh(_symmetric(real @ solution.reshape(elements, n).T, q))
         low = smallest[:, 0]
         worst = [k for k in range(len(low)) if low[k] < 0.0 and low[k] == low[max(k - 5, 0) : k + 6].min()]
         if not worst:
@@ -210,11 +252,33 @@ def fit_residues(omega: Array, target: Complex, weight: Array, poles: Complex) -
             cuts.append(np.kron(factor, real[k]))
             bounds.append(margin[k])
         constraint = np.array(cuts)
-        solution = free @ _inequality_least_squares(matrix @ free, right, constraint @ free, np.array(bounds))
-    result = np.zeros((n, q, q))
-    for e, (i, j) in enumerate(zip(rows, columns, strict=True)):
-        result[:, i, j] = result[:, j, i] = solution[e * n : (e + 1) * n]
+        solution = free @ _nearest_feasible(unconstrained, r_factor, constraint @ free, np.array(bounds))
+    # What the cutting planes leave below zero (little) is lifted by s / ((s - p)(s - p*)) of each pair of poles, whose
+    # real part is positive at every frequency but zero.
+    lift = _band_passes(poles)
+    low = np.linalg.eigvalsh(_symmetric(real @ solution.reshape(elements, n).T, q))[:, 0]
+    positive = real @ lift
+    amount = 1.001 * np.max(-low / np.where(positive > 0.0, positive, np.inf), initial=0.0)
+    return _symmetric(solution.reshape(elements, n).T, q) + amount * lift[:, None, None] * np.eye(q)
+
+
+def _symmetric(values: Array, q: int) -> Array:
+    """Symmetric matrices (n, q, q) from their upper triangles (n, q (q + 1) / 2)."""
+    rows, columns = np.triu_indices(q)
+    result = np.zeros((len(values), q, q))
+    result[:, rows, columns] = result[:, columns, rows] = values
     return result
+
+
+def _band_passes(poles: Complex) -> Array:
+    """Coefficients (n,) in the real basis of the sum of s / ((s - p)(s - p*)) over the pairs of poles."""
+    result: list[float] = []
+    for p in poles:
+        if p.imag > 0.0:
+            result += [0.5, -0.5 * p.real / p.imag]
+        elif p.imag == 0.0:
+            result.append(0.0)
+    return np.array(result)
 
 
 def realisation(poles: Complex, residues: Array) -> tuple[Array, Array, Array]:
@@ -265,12 +329,8 @@ def _stack(values: Array | Complex) -> Array:
     return np.vstack([values.real, values.imag])
 
 
-def _inequality_least_squares(matrix: Array, right: Array, constraint: Array, bound: Array) -> Array:
-    """min |matrix x - right| subject to constraint x >= bound (Lawson and Hanson 1974, chapter 23)."""
-    q, r = np.linalg.qr(matrix)
-    free = np.linalg.solve(r, q.T @ right)
-    if not len(constraint):
-        return np.asarray(free)
+def _nearest_feasible(free: Array, r: Array, constraint: Array, bound: Array) -> Array:
+    """min |r (x - free)| subject to constraint x >= bound (Lawson and Hanson 1974, chapter 23)."""
     g = np.linalg.solve(r.T, constraint.T).T
     h = bound - constraint @ free
     size = np.abs(g).max()
@@ -279,19 +339,22 @@ def _inequality_least_squares(matrix: Array, right: Array, constraint: Array, bo
     return np.asarray(free + np.linalg.solve(r, -residual[:-1] / residual[-1]))
 
 
-def _with_errors(model: RadiationModel, database: HydroDatabase, target: Complex) -> RadiationModel:
+def _with_errors(
+    model: RadiationModel, database: HydroDatabase, members: Sequence[tuple[int, ...]], target: Complex
+) -> RadiationModel:
     time = np.arange(0.0, 60.0, 0.1)
-    exact, fitted = retardation(database, time), model.retardation(time)
     response = model.response(database.omega)
+    pairs: Sequence[tuple[Array, Array]] = (
+        (model.retardation(time), retardation(database, time)),
+        (response.real, target.real),
+        (response.imag, target.imag),
+    )
     errors: tuple[dict[str, float], ...] = ({}, {}, {})
-    for name, dofs in GROUPS.items():
-        maxima = np.array([database.damping[:, i, i].max() for i in dofs])
-        scale = np.sqrt(np.multiply.outer(maxima, maxima))
-        rows, columns = np.ix_(dofs, dofs)
-        pairs: Sequence[tuple[Array, Array]] = (
-            (fitted, exact), (response.real, target.real), (response.imag, target.imag)
-        )  # fmt: skip
-        for error, (ours, theirs) in zip(errors, pairs, strict=True):
-            ours, theirs = ours[:, rows, columns] / scale, theirs[:, rows, columns] / scale
-            error[name] = float(np.linalg.norm(ours - theirs) / np.linalg.norm(theirs))
+    for error, (ours, theirs) in zip(errors, pairs, strict=True):
+        size = np.linalg.norm(theirs, axis=0)
+        scale = np.sqrt(np.multiply.outer(size.diagonal(), size.diagonal()))
+        difference = np.linalg.norm(ours - theirs, axis=0)
+        for dofs in members:
+            for i, j in combinations_with_replacement(dofs, 2):
+                error[f"{i + 1}{j + 1}"] = float(difference[i, j] / scale[i, j])
     return RadiationModel(model.a, model.b, model.c, *errors)

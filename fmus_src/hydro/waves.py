@@ -17,16 +17,17 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 
 LOWEST, HIGHEST = 0.12, 3.0  # rad/s
+COLUMNS = 32  # of the grid of evenly spaced frequencies
 # Wichmann and Hill, Algorithm AS 183, Applied Statistics 31 (1982): three generators x <- multiplier x mod modulus.
 MULTIPLIERS, MODULI = (171, 172, 170), (30269, 30307, 30323)
 
 
 @dataclass(frozen=True)
 class WaveComponents:
-    """A given sea: components of elevation at x = y = 0.
+    """A given sea: components of elevation at x = y = 0, a cos(w t + e).
 
     Attributes:
-        omega: angular frequency, rad/s, shape (n,), within the database's range.
+        omega: angular frequency, rad/s, shape (n,).
         amplitude: m, shape (n,).
         phase: e in cos(w t + e), rad, shape (n,).
     """
@@ -36,18 +37,67 @@ class WaveComponents:
     phase: Array
 
 
-def frequency_cells(count: int) -> tuple[Array, Array]:
+def frequency_cells(count: int, low: float = LOWEST, high: float = HIGHEST) -> tuple[Array, Array]:
     """Frequencies and cell widths of a sea that does not repeat: rad/s, two arrays of shape (count,).
 
     The cells widen in proportion to frequency, so that a spectrum is resolved alike whatever its peak (0.0045 rad/s
     at 0.5 rad/s with 360 cells); in its cell each frequency is offset by a multiple of the golden ratio, so that no
     two differences are commensurable.
     """
-    edges = np.geomspace(LOWEST, HIGHEST, count + 1)
+    edges = np.geomspace(low, high, count + 1)
     golden = (np.sqrt(5.0) - 1.0) / 2.0
     offset = 0.1 + 0.8 * np.mod(golden * np.arange(1, count + 1), 1.0)
     width = np.diff(edges)
     return edges[:-1] + offset * width, width
+
+
+def spacing(omega: Array) -> float | None:
+    """Spacing dw if all frequencies are multiples k dw to six digits (as FFTs make and files keep them), else None."""
+    ordered = np.sort(omega)
+    step = float(np.min(np.diff(ordered), initial=np.inf))
+    if not 0.0 < step < np.inf:
+        return None
+    # Refined from the lowest frequencies up, as the first estimate does not tell high multiples apart.
+    for count in np.unique(np.geomspace(2, len(ordered), 12).astype(int)):
+        k = np.round(ordered[:count] / step)
+        if k[0] < 1.0:
+            return None
+        step = float(k @ ordered[:count] / (k @ k))
+    return step if np.all(np.abs(np.round(ordered / step) * step - ordered) <= 5.01e-6 * ordered) else None
+
+
+def on_grid(sea: WaveComponents, step: float) -> WaveComponents:
+    """A sea of frequencies k step on all k from its lowest to its highest, padded to a multiple of `COLUMNS`.
+
+    Components of like frequency become one; those that fill gaps and the end have no amplitude.
+    """
+    k = np.round(sea.omega / step).astype(int)
+    rows = -(-(k.max() - k.min() + 1) // COLUMNS)
+    total = np.zeros(rows * COLUMNS, dtype=complex)
+    np.add.at(total, k - k.min(), sea.amplitude * np.exp(1j * sea.phase))
+    return WaveComponents(step * (k.min() + np.arange(len(total))), np.abs(total), np.angle(total))
+
+
+def oscillations(sea: WaveComponents, time: Any) -> tuple[Any, Any]:
+    """a cos(w t + e) and a sin(w t + e) of frequencies known when the component is built, two columns; symbolic."""
+    angle = ca.DM(sea.omega) * time + ca.DM(sea.phase)
+    return ca.DM(sea.amplitude) * ca.cos(angle), ca.DM(sea.amplitude) * ca.sin(angle)
+
+
+def grid_oscillations(sea: WaveComponents, step: float, time: Any) -> tuple[Any, Any]:
+    """As `oscillations` of a sea that `on_grid` has made, at a fraction of the cost; symbolic.
+
+    With k = k_0 + m i + j the angle is that of row i plus that of column j: of n components only n / m + m sines and
+    cosines are needed, the others are their products. Exact but for rounding.
+    """
+    over = ca.DM(sea.omega[::COLUMNS]) * time
+    along = ca.DM(step * np.arange(COLUMNS)) * time
+    c_row, s_row, c_column, s_column = ca.cos(over), ca.sin(over), ca.cos(along), ca.sin(along)
+    # Column by column as CasADi stores matrices: columns of the grid are made its rows.
+    cosine = ca.vec(ca.mtimes(c_column, c_row.T) - ca.mtimes(s_column, s_row.T))
+    sine = ca.vec(ca.mtimes(s_column, c_row.T) + ca.mtimes(c_column, s_row.T))
+    real, imag = ca.DM(sea.amplitude * np.cos(sea.phase)), ca.DM(sea.amplitude * np.sin(sea.phase))
+    return real * cosine - imag * sine, real * sine + imag * cosine
 
 
 def peak_enhancement(hs: Any, tp: Any) -> Any:
