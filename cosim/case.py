@@ -90,7 +90,7 @@ def shipped_cases() -> dict[str, Path]:
     """Load cases that come with the package, by name."""
     folder = case_folder()
     files = sorted(folder.glob("*.toml"))
-    return {f.stem: f for f in files if not f.stem.startswith(("channels", "dampers"))}
+    return {f.stem: f for f in files if not f.stem.startswith(("channels", "dampers", "verification"))}
 
 
 def case_folder() -> Path:

@@ -4,40 +4,14 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
 
-from cosim.cli import main
 from fmus_src.component import Component
 from fmus_src.tmd.model import declare_unit
-
-
-@dataclass(frozen=True)
-class Outcome:
-    code: int
-    out: str
-    err: str
-
-
-@pytest.fixture
-def fowt(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Callable[..., Outcome]:
-    """Run the command in an empty folder."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "120")
-
-    def run(*words: str) -> Outcome:
-        monkeypatch.setattr(sys, "argv", ["fowt", *words])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        printed = capsys.readouterr()
-        return Outcome(int(ended.value.code or 0), printed.out, printed.err)
-
-    return run
-
+from tests.conftest import Outcome
 
 SHORT = ("--until", "2")
 
@@ -185,5 +159,5 @@ def test_not_a_number_from_a_component_stops_the_run_and_keeps_it(
 
 
 def test_help_shows_an_example(fowt: Callable[..., Outcome]) -> None:
-    for command in ("build", "run", "compare", "optimise", "list"):
+    for command in ("build", "run", "compare", "optimise", "verify", "list"):
         assert "fowt " + command in fowt(command, "--help").out.replace("Usage: fowt " + command, "")

@@ -33,7 +33,8 @@ def analytic_modes(parts: Mapping[str, Instance]) -> np.ndarray:
         for name, part in (("hydro", hydro), ("mooring", mooring)):
             wanted = [n for v in part.equations.of("input") for n in v.element_names()]
             part.set({n: motion[n] for n in wanted})
-            loads |= {f"{name}.{n}": v for n, v in part.outputs().items() if n.startswith(("force", "moment"))}
+            wanted_by_barge = ("force", "moment", "added_mass")
+            loads |= {f"{name}.{n}": v for n, v in part.outputs().items() if n.startswith(wanted_by_barge)}
         barge.set(loads)
         return np.concatenate([barge.derivative(), hydro.derivative()])
 

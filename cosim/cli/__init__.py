@@ -6,7 +6,7 @@ import sys
 
 import typer
 
-from cosim.cli import build, compare, listing, optimise, run
+from cosim.cli import build, compare, listing, optimise, run, verify
 from cosim.cli.console import failure
 
 app = typer.Typer(
@@ -22,6 +22,7 @@ app.command("build")(build.build)
 app.command("run")(run.run)
 app.command("compare")(compare.compare)
 app.command("optimise")(optimise.optimise)
+app.command("verify")(verify.verify)
 app.command("list")(listing.list_all)
 
 
