@@ -9,8 +9,9 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from fmus_src.component import Causality, Component, Variable
+from fmus_src.component import Component
 from fmus_src.lookups import Lookup
+from fmus_src.variable import Causality, Variable
 
 STATE_INPUTS = ("t", "x", "z", "u", "p", "k", "w")
 

@@ -10,9 +10,10 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from fmus_src.component import Causality, Component
+from fmus_src.component import Component
 from fmus_src.equations import Equations, derive
 from fmus_src.lookups import LookupMemory
+from fmus_src.variable import Causality
 
 Array = npt.NDArray[np.float64]
 

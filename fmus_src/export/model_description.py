@@ -8,9 +8,9 @@ from xml.etree import ElementTree as ET
 import casadi as ca
 import numpy as np
 
-from fmus_src.component import Variable
 from fmus_src.equations import Equations
 from fmus_src.units import Unit, conversion, unit
+from fmus_src.variable import Variable
 
 _FMI_CAUSALITY = {
     "parameter": "parameter",

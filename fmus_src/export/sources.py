@@ -9,9 +9,9 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 
-from fmus_src.component import Variable
 from fmus_src.equations import Equations
 from fmus_src.lookups import FieldLookup, ImplicitLookup, StoredLookup, TableLookup
+from fmus_src.variable import Variable
 
 RUNTIME = Path(__file__).parent / "runtime"
 RUNTIME_SOURCES = ("fmi2.c", "lookup_table.c", "lookup_field.c", "lookup_implicit.c")
