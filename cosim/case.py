@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ from typing import Any
 from cosim.errors import CosimError, nearest
 from cosim.ssp import read_parameters
 from cosim.system import StartValue, System, with_parameters, without
+from cosim.toml_file import TomlReader, read_toml
 
 Number = float | int | bool | str
 
@@ -108,15 +108,15 @@ def read_case(name: str) -> LoadCase:
     path = shipped.get(name.lower()) or Path(name)
     if not path.is_file():
         raise CosimError(f"no load case '{name}'{nearest(name, shipped)} ('fowt list' shows all; or give a .toml file)")
-    table = _toml(path)
-    with _Reader(table, path, "") as top:
+    table = read_toml(path)
+    with TomlReader(table, path, "") as top:
         run, wind = top.table("run"), top.table("wind")
-        with _Reader(run, path, "run.") as r:
+        with TomlReader(run, path, "run.") as r:
             stop, step = r.take("stop", float), r.take("step", float, 0.0125)
             transient, record_every = r.take("transient", float, 0.0), r.take("record_every", int, 4)
         box = None
         if wind:
-            with _Reader(wind, path, "wind.") as w:
+            with TomlReader(wind, path, "wind.") as w:
                 box = Wind(w.take("parameter", str), w.take("mean_speed", float), w.take("turbulence_class", str, "B"))
         dampers = read_dampers(path.parent / top.take("dampers", str, _dampers_of(table)))
         if not (stop > 0.0 and step > 0.0 and 0.0 <= transient < stop and record_every >= 1):
@@ -128,15 +128,15 @@ def read_case(name: str) -> LoadCase:
             channels=path.parent / top.take("channels", str),
             dampers=dampers,
             damper=top.take("damper", str, "none"),
-            without=tuple(top.take("without", list, [])),
+            without=top.texts("without"),
             stop=stop,
             step=step,
             transient=transient,
             record_every=record_every,
             seed=top.take("seed", int, 1),
-            seed_parameters=tuple(top.take("seed_parameters", list, [])),
+            seed_parameters=top.texts("seed_parameters"),
             wind=box,
-            parameters=top.table("parameters"),
+            parameters=top.values("parameters"),
         )
 
 
@@ -146,23 +146,24 @@ def read_dampers(path: Path) -> dict[str, Damper]:
     Raises:
         CosimError: the file is missing or malformed.
     """
-    tables = _toml(path)
-    optional = tuple(dict.fromkeys(c for t in tables.values() for c in t.get("components", [])))
+    tables = read_toml(path)
     dampers = {}
     for name, table in tables.items():
-        with _Reader(table, path, f"{name}.") as r:
+        if not isinstance(table, dict):
+            raise CosimError(f"{path}: '{name}' should be a table [{name}]")
+        with TomlReader(table, path, f"{name}.") as r:
             file, own = r.take("parameters", str, ""), r.take("system", str, "")
             dampers[name] = Damper(
                 name=name,
                 description=r.take("description", str, ""),
-                components=tuple(r.take("components", list, [])),
-                optional=optional,
+                components=r.texts("components"),
                 parameters=path.parent / file if file else None,
                 prefix=r.take("prefix", str, ""),
-                values=r.table("values"),
+                values=r.values("values"),
                 system=path.parent / own if own else None,
             )
-    return dampers
+    optional = tuple(dict.fromkeys(c for d in dampers.values() for c in d.components))
+    return {name: replace(d, optional=optional) for name, d in dampers.items()}
 
 
 def with_damper(system: System, damper: Damper) -> System:
@@ -187,44 +188,3 @@ def qualified(values: Mapping[str, StartValue], damper: Damper, system: System) 
 def _dampers_of(table: Mapping[str, Any]) -> str:
     simplified = str(table.get("system", "")).startswith("simplified")
     return "dampers-simplified.toml" if simplified else "dampers.toml"
-
-
-def _toml(path: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise CosimError(f"{path}: cannot be read ({error})") from error
-
-
-class _Reader:
-    """Takes typed keys out of a TOML table; leaving it complains about keys that nobody took."""
-
-    def __init__(self, table: Mapping[str, Any], path: Path, prefix: str) -> None:
-        self._table, self._path, self._prefix = dict(table), path, prefix
-        self._taken: list[str] = []
-
-    def __enter__(self) -> _Reader:
-        return self
-
-    def __exit__(self, kind: object, *details: object) -> None:
-        left = [k for k in self._table if k not in self._taken]
-        if kind is None and left:
-            raise CosimError(f"{self._path}: unknown key '{self._prefix}{left[0]}'{nearest(left[0], self._taken)}")
-
-    def take(self, key: str, kind: type, default: Any = None) -> Any:
-        self._taken.append(key)
-        value = self._table.get(key, default)
-        if value is None:
-            raise CosimError(f"{self._path}: '{self._prefix}{key}' is missing; add it")
-        if kind is float and isinstance(value, int) and not isinstance(value, bool):
-            value = float(value)
-        if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):
-            raise CosimError(f"{self._path}: '{self._prefix}{key}' = {value!r} should be a {kind.__name__}")
-        return value
-
-    def table(self, key: str) -> dict[str, Any]:
-        self._taken.append(key)
-        value = self._table.get(key, {})
-        if not isinstance(value, dict):
-            raise CosimError(f"{self._path}: '{self._prefix}{key}' should be a table")
-        return value

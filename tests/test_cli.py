@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from cosim.case import read_case
+from cosim.errors import CosimError
 from fmus_src.component import Component
 from fmus_src.tmd.model import declare_unit
 from tests.conftest import Outcome
@@ -161,3 +163,30 @@ def test_not_a_number_from_a_component_stops_the_run_and_keeps_it(
 def test_help_shows_an_example(fowt: Callable[..., Outcome]) -> None:
     for command in ("build", "run", "compare", "optimise", "verify", "list"):
         assert "fowt " + command in fowt(command, "--help").out.replace("Usage: fowt " + command, "")
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("seed_parameters = [3]", "'seed_parameters' holds 3; it should hold names in quotes"),
+        ('without = "aero"', "'without' = 'aero' should be a list"),
+        ("[parameters]\nhydro.Hs = [4]", "parameters: hydro.Hs = [4] is no value"),
+    ],
+)
+def test_a_mistake_in_a_load_case_gets_one_line(tmp_path: Path, line: str, message: str) -> None:
+    _text_file(tmp_path, "d.toml", "[none]\n")
+    head = 'description = "x"\nsystem = "s.ssd"\nchannels = "c.toml"\ndampers = "d.toml"\n'
+    run = "[run]\nstop = 1.0\n"
+    text = head + (f"{run}{line}\n" if line.startswith("[") else f"{line}\n{run}")
+    path = _text_file(tmp_path, "case.toml", text)
+    with pytest.raises(CosimError) as caught:
+        read_case(str(path))
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_names_of_parameters_need_no_quotes(tmp_path: Path) -> None:
+    _text_file(tmp_path, "d.toml", "[none]\n")
+    head = 'description = "x"\nsystem = "s.ssd"\nchannels = "c.toml"\ndampers = "d.toml"\n[run]\nstop = 1.0\n'
+    path = _text_file(tmp_path, "case.toml", head + '[parameters]\nhydro.Hs = 4.0\n"aero.wind_file" = "x.bts"\n')
+    assert read_case(str(path)).parameters == {"hydro.Hs": 4.0, "aero.wind_file": "x.bts"}

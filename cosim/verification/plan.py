@@ -8,8 +8,9 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-from cosim.case import Number, _Reader, _toml
+from cosim.case import Number
 from cosim.errors import CosimError, nearest
+from cosim.toml_file import TomlReader, read_toml
 
 FILE = "verification.toml"
 Quantity = Literal["mean", "std", "R2", "frequency", "damping ratio", "amplitude", "phase", "suppression"]
@@ -105,8 +106,8 @@ def read_plan(shipped: Path, folder: Path | None) -> dict[str, Comparison]:
     tables: dict[str, Any] = {"parameters": {}, "options": {}, "checks": {}, "comparison": {}}
     origins: dict[str, Path] = {}
     for path in [shipped / FILE, *([folder / FILE] if folder and (folder / FILE).is_file() else [])]:
-        content = _toml(path)
-        with _Reader(content, path, "") as top:
+        content = read_toml(path)
+        with TomlReader(content, path, "") as top:
             for part, known in tables.items():
                 given = top.table(part)
                 known.update(given)
@@ -143,7 +144,7 @@ def _curve(comparison: Comparison) -> tuple[str, ...]:
 
 def _comparison(name: str, tables: Mapping[str, Any], path: Path) -> Comparison:
     table = _inherited(name, tables["comparison"], path)
-    with _Reader(table, path, f"{name}.") as r:
+    with TomlReader(table, path, f"{name}.") as r:
         listed = [c for key in r.take("checks", list) for c in _checks(str(key), tables["checks"], path)]
         channels = [c.channel for c in listed]
         checks = sorted(listed, key=lambda c: channels.index(c.channel))
@@ -168,7 +169,7 @@ def _comparison(name: str, tables: Mapping[str, Any], path: Path) -> Comparison:
             whole_turns_of=r.take("whole_turns_of", str, "") or None,
         )
     if curve:
-        with _Reader(curve, path, f"{name}.curve.") as r:
+        with TomlReader(curve, path, f"{name}.curve.") as r:
             result = replace(result, curve=Curve(r.take("name", str), r.take("axis", str), r.take("at", float)))
     for check in checks:
         if check.quantity in ("amplitude", "phase") and result.wave_period is None:
@@ -195,7 +196,7 @@ def _checks(key: str, lists: Mapping[str, Any], path: Path) -> list[Check]:
         raise CosimError(f"{path}: no list of checks '{key}'{nearest(key, lists)}")
     found = []
     for table in lists[key]:
-        with _Reader(table, path, f"checks.{key}.") as r:
+        with TomlReader(table, path, f"checks.{key}.") as r:
             quantity, channels = r.take("quantity", str), r.take("channels", list)
             limits = {limit: r.take(limit, float, -1.0) for limit in LIMITS}
             near, others = r.take("near", float, 0.0), tuple(map(float, r.take("others", list, [])))

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from cosim.case import _toml
 from cosim.errors import CosimError, nearest
+from cosim.toml_file import read_toml
 from cosim.verification.plan import Comparison
 from cosim.verification.reference import READERS, find_history, read_history, read_row
 from cosim.verification.table import Reference
@@ -47,7 +47,7 @@ def from_figures(file: Path, plan: Mapping[str, Comparison]) -> tuple[dict[str, 
         CosimError: the file is malformed, or has a figure that no check asks for.
     """
     comparisons, references = {}, {}
-    for name, channels in _toml(file).items():
+    for name, channels in read_toml(file).items():
         if not isinstance(channels, dict):
             continue  # where the figures are from
         figures = {(channel, label): float(v) for channel, labels in channels.items() for label, v in labels.items()}
