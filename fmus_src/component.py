@@ -84,6 +84,8 @@ class Component:
             raise ValueError(f"component name '{name}' must be a lower-case C identifier")
         if not (internal_step > 0.0 and (sample_time is None or sample_time > 0.0)):
             raise ValueError(f"{name}: internal_step {internal_step} s and sample_time {sample_time} s must be above 0")
+        if sample_at_start and sample_time is None:
+            raise ValueError(f"{name}: sample_at_start needs a sample_time")
         self.name = name
         self.description = description
         self.internal_step = internal_step
@@ -192,7 +194,7 @@ class Component:
         nominal: float | None = None,
         internal: bool = False,
     ) -> Any:
-        """Declare a state that changes at the sample instants k * sample_time, k = 1, 2, ... only."""
+        """Declare a state that changes at the sample instants k * sample_time only; k = 1, 2, ..., or from 0 on."""
         if self.sample_time is None:
             raise ValueError(f"{self.name}: sampled state '{name}' needs the component's sample_time")
         return self._declare_state(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import hashlib
 import importlib
 import inspect
@@ -17,8 +18,10 @@ from platformdirs import user_cache_path
 
 from fmus_src.component import Component
 from fmus_src.export.build import build_all, build_fmu
+from fmus_src.hydro.database import PACKAGED
 
 ROOT = Path(__file__).parent
+WAMIT = (".1", ".3", ".hst")
 
 
 def component_names() -> list[str]:
@@ -27,20 +30,21 @@ def component_names() -> list[str]:
     return sorted(name for name in folders if (ROOT / name / "model.py").exists())
 
 
-def make(name: str, options: Mapping[str, str] | None = None) -> Component:
+def make(name: str, options: Mapping[str, Any] | None = None) -> Component:
     """Define a component by the name of its folder.
 
     Args:
-        options: keyword arguments of its `component()` as text (default: none, its default arguments). The
-            component's description then says what it was built from.
+        options: keyword arguments of its `component()`, as text or as what `str` makes text of (default: none, its
+            default arguments). The component's description then says what it was built from.
 
     Raises:
-        ValueError: no such option, a value that is none of its type, or what `component()` objects to.
+        ValueError: no such component or option, a value that is none of its type, or what `component()` objects to.
     """
-    factory: Callable[..., Component] = importlib.import_module(f"fmus_src.{name}.model").component
-    component = factory(**_arguments(name, factory, options or {}))
-    if options:
-        component.description += f". Built with {'; '.join(_labels(options))}"
+    factory = _defining(name)
+    arguments = _arguments(name, factory, options or {})
+    component = factory(**arguments)
+    if arguments:
+        component.description += f". Built with {'; '.join(_labels(arguments))}"
     return component
 
 
@@ -51,9 +55,14 @@ def build_library(
 
     Returns:
         the folder, and the FMU of each name.
+
+    Raises:
+        ValueError: no such component.
     """
     folder = _cache()
     wanted = component_names() if names is None else list(names)
+    for name in wanted:
+        _check_name(name)
     missing = {name: _factory(name) for name in wanted if not (folder / f"{name}.fmu").exists()}
     for name in wanted:
         if name not in missing and progress:
@@ -63,7 +72,7 @@ def build_library(
     return folder, {name: folder / f"{name}.fmu" for name in wanted}
 
 
-def build_variant(name: str, options: Mapping[str, str]) -> Path:
+def build_variant(name: str, options: Mapping[str, Any]) -> Path:
     """Build one component with options into the user's cache; what is there for these sources and files is kept.
 
     Args:
@@ -79,15 +88,20 @@ def build_variant(name: str, options: Mapping[str, str]) -> Path:
     """
     if not options:
         return build_library([name])[1][name]
-    key = hashlib.sha256("\n".join([name, *_labels(options, 64)]).encode()).hexdigest()
+    arguments = _arguments(name, _defining(name), options)
+    key = hashlib.sha256("\n".join([name, *_labels(arguments, 64)]).encode()).hexdigest()
     folder = _cache() / f"{name}-{key[:16]}"
     path = folder / f"{name}.fmu"
     return path if path.exists() else build_fmu(make(name, options), folder)
 
 
 def option_names(name: str) -> list[str]:
-    """Options that a component takes."""
-    return list(inspect.signature(importlib.import_module(f"fmus_src.{name}.model").component).parameters)
+    """Options that a component takes.
+
+    Raises:
+        ValueError: no such component.
+    """
+    return list(inspect.signature(_defining(name)).parameters)
 
 
 def sources_digest() -> str:
@@ -110,7 +124,23 @@ def _factory(name: str) -> Callable[[], Component]:
     return lambda: make(name)
 
 
-def _arguments(name: str, factory: Callable[..., Component], options: Mapping[str, str]) -> dict[str, Any]:
+def _check_name(name: str) -> None:
+    known = component_names()
+    if name not in known:
+        close = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
+        some = ", ".join(f"'{n}'" for n in known[:6]) + (", ..." if len(known) > 6 else "")
+        hint = f"did you mean '{close[0]}'?" if close else f"there are {some}"
+        raise ValueError(f"no component '{name}'; {hint}")
+
+
+def _defining(name: str) -> Callable[..., Component]:
+    """The function `component()` of a component's folder."""
+    _check_name(name)
+    factory: Callable[..., Component] = importlib.import_module(f"fmus_src.{name}.model").component
+    return factory
+
+
+def _arguments(name: str, factory: Callable[..., Component], options: Mapping[str, Any]) -> dict[str, Any]:
     """Options, given as text, in the types of the factory's arguments."""
     hints = typing.get_type_hints(factory)
     known = inspect.signature(factory).parameters
@@ -118,7 +148,7 @@ def _arguments(name: str, factory: Callable[..., Component], options: Mapping[st
         if option not in known:
             has = f"its options are {', '.join(known)}" if known else "it has none"
             raise ValueError(f"{name}: no option '{option}'; {has}")
-    return {option: _convert(name, option, text, hints[option]) for option, text in options.items()}
+    return {option: _convert(name, option, str(value), hints[option]) for option, value in options.items()}
 
 
 def _convert(name: str, option: str, text: str, hint: Any) -> Any:
@@ -138,27 +168,26 @@ def _convert(name: str, option: str, text: str, hint: Any) -> Any:
     )
 
 
-def _labels(options: Mapping[str, str], digits: int = 8) -> list[str]:
-    """Each option as `name=value`; of files the name and the head of their SHA-256, wherever they are."""
+def _labels(arguments: Mapping[str, Any], digits: int = 8) -> list[str]:
+    """Each argument as `name=value`; of files the name and the head of their SHA-256, wherever they are."""
     labels = []
-    for option, text in sorted(options.items()):
-        files = _named_files(Path(text))
+    for option, value in sorted(arguments.items()):
+        files = _named_files(option, value)
         digest = hashlib.sha256()
         for file in files:
             digest.update(f"{file.name} {file.stat().st_size}\n".encode())
             digest.update(file.read_bytes())
-        label = f"{Path(text).name} (sha256 {digest.hexdigest()[:digits]})" if files else text
+        label = f"{Path(value).name} (sha256 {digest.hexdigest()[:digits]})" if files else str(value)
         labels.append(f"{option}={label}")
     return labels
 
 
-def _named_files(path: Path) -> list[Path]:
-    """The files that an option's text names: a file, all in a folder, or a set such as Barge.1, Barge.3 (`Barge`)."""
-    if path.is_dir():
-        return sorted(p for p in path.rglob("*") if p.is_file())
-    root = path.with_suffix("") if path.suffix[1:].isdigit() else path
-    if path.is_file() and root == path:
-        return [path]
-    if not path.name or not path.parent.is_dir():
+def _named_files(option: str, value: Any) -> list[Path]:
+    """The files that an argument names: one, or WAMIT's set by its root (`DIR/Barge`) or one of its files."""
+    # A number is none, nor is the name of a packaged database, whatever lies in the working folder.
+    if not isinstance(value, str | Path) or (option == "database" and str(value) in PACKAGED):
         return []
-    return sorted(p for p in path.parent.iterdir() if p.is_file() and p.name.startswith(f"{root.name}."))
+    path = Path(value)
+    root = path.with_suffix("") if path.suffix in WAMIT else path
+    candidates = {path, *(root.with_name(root.name + suffix) for suffix in WAMIT if root.name)}
+    return sorted(p for p in candidates if p.is_file())

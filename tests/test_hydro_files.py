@@ -17,7 +17,7 @@ import pytest
 from fmus_src.equations import derive
 from fmus_src.hydro import excitation, given_sea, headings, radiation, waves
 from fmus_src.hydro.compute_database import far_field_damping
-from fmus_src.hydro.database import HydroDatabase, load, save
+from fmus_src.hydro.database import HydroDatabase, checked, load, save, warn_of_scale
 from fmus_src.hydro.model import component
 from fmus_src.hydro.radiation import groups, radiation_model
 from fmus_src.instance import Instance
@@ -294,6 +294,69 @@ def test_bad_databases(tmp_path: Path) -> None:
         component(short)
 
 
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("bad.json", b'{"name": ', r"bad\.json is no JSON \(Expecting value"),
+        ("bad.json", b"\xff\x00", r"bad\.json is no JSON \('utf-8' codec"),
+        ("bad.json", b"[1, 2]", r"bad\.json: lists of unlike length or no numbers"),
+        ("bad.nc", b"no NetCDF", r"bad\.nc cannot be read"),
+        ("bad.nc", b"CDF\x01\x00\x00", r"bad\.nc cannot be read"),
+        ("bad.nc", b"\x89HDF\r\n\x1a\n" + bytes(90), r"bad\.nc cannot be read"),
+    ],
+)
+def test_broken_databases_are_named(tmp_path: Path, name: str, content: bytes, message: str) -> None:
+    if name.endswith(".nc"):
+        pytest.importorskip("xarray")
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(ValueError, match=message) as error:
+        load(tmp_path / name)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf])
+@pytest.mark.parametrize(
+    "option", ["displaced_volume", "water_depth", "water_density", "gravity", "unit_length", "draft"]
+)
+def test_figures_must_be_finite_and_above_zero(option: str, value: float, tmp_path: Path) -> None:
+    message = rf"^hydro: {option} {value:g} must be a finite number above 0, e\.g\. "
+    root = write_wamit(every(load("closed"), 20), tmp_path / "Box")
+    for database in ("closed", str(root)):
+        with pytest.raises(ValueError, match=message):
+            component(database, **{option: value})  # type: ignore[arg-type]
+
+
+def test_figures_that_contradict_are_refused(tmp_path: Path) -> None:
+    closed = load("closed")
+    with pytest.raises(ValueError, match="for deep water a large finite depth such as 1e5 m"):
+        component(water_depth=np.inf)
+    with pytest.raises(ValueError, match="draft 151 m must not be above the water depth, 150 m"):
+        component(draft=151.0)
+    for database in ("closed", closed):
+        with pytest.raises(ValueError, match=r"unit_length 2 is for WAMIT's files.*; leave it out"):
+            component(database, unit_length=2.0)
+        with pytest.raises(ValueError, match="closed states gravity"):
+            component(database, gravity=1.0)
+    save(replace(closed, gravity=np.nan), tmp_path / "own.json")
+    with pytest.raises(ValueError, match=r"own\.json: gravity nan must be a finite number above 0"):
+        load(tmp_path / "own.json")
+    omega = closed.omega.copy()
+    omega[5] = np.nan
+    with pytest.raises(ValueError, match="frequencies must rise from above zero; they do not after"):
+        checked(replace(closed, omega=omega))
+
+
+def test_wrong_unit_length_is_warned_of(tmp_path: Path) -> None:
+    # Added mass goes with the cube of the unit length: 20 m for 1 m is 8000 times the mass.
+    root = write_wamit(load("closed"), tmp_path / "Box")
+    with pytest.warns(UserWarning, match="Box: heave added mass .* check unit_length and displaced_volume"):
+        warn_of_scale(load(root, unit_length=20.0))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for name in ("closed", "moonpool", "deep"):
+            warn_of_scale(load(name))
+
+
 def test_poor_fit_is_warned_of() -> None:
     # Damping in spikes that the frequencies do not resolve is beyond twelve poles.
     closed = every(load("closed"), 2)
@@ -352,7 +415,10 @@ def test_what_is_left_out_of_a_sea_is_told(tmp_path: Path) -> None:
     [
         ("a,b\n1,2\n", r"bad\.csv needs the columns omega_rad_s, amplitude_m, phase_rad, or time_s and elevation_m"),
         ("omega_rad_s,amplitude_m,phase_rad\n0.5,x,0\n", r"bad\.csv: column amplitude_m is no number in row 1"),
-        ("time_s,elevation_m\n" + "".join(f"{t},0.1\n" for t in [*range(20), 19.5]), "they do not at 19 s: resample"),
+        (
+            "time_s,elevation_m\n" + "".join(f"{t},0.1\n" for t in [*range(20), 19.5]),
+            "they do not at 19 s: resample",
+        ),
         ("time_s,elevation_m\n0,1\n1,2\n", r"bad\.csv: 2 samples make no record of a sea"),
     ],
 )
@@ -360,6 +426,24 @@ def test_bad_seas(tmp_path: Path, text: str, message: str) -> None:
     (tmp_path / "bad.csv").write_text(text)
     with pytest.raises(ValueError, match=message):
         component(sea=tmp_path / "bad.csv")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("bad.csv", b"", r"sea: bad\.csv cannot be read \(No columns"),
+        ("bad.csv", b"\xff\xfe\x00\x80,\x81\n", r"sea: bad\.csv cannot be read \('utf-8' codec"),
+        ("bad.parquet", b"no Parquet", r"sea: bad\.parquet cannot be read \("),
+        ("bad.csv", b"time_s,elevation_m\n" + b"".join(b"%d,0.1\n" % t for t in range(20)),
+         r"sea: bad\.csv: the elevation does not move: all 20 samples are 0\.1 m"),
+        ("bad.csv", b"time_s,elevation_m\n0,x\n", r"^sea: bad\.csv: column elevation_m is no number in row 1"),
+    ],
+)  # fmt: skip
+def test_broken_seas_are_named(tmp_path: Path, name: str, content: bytes, message: str) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(ValueError, match=message) as error:
+        given_sea.read(tmp_path / name)
+    assert "\n" not in str(error.value)
 
 
 def test_frequencies_of_six_digits_are_known_as_even() -> None:

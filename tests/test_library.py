@@ -9,9 +9,11 @@ import fmpy.validation
 import numpy as np
 import pytest
 
+from cosim.cli.build import build, build_with_options
+from cosim.errors import CosimError
 from fmus_src.equations import derive
 from fmus_src.instance import Instance
-from fmus_src.library import build_library, component_names, make
+from fmus_src.library import _labels, build_library, build_variant, component_names, make, option_names
 
 from .loaded import Loaded, initialised
 
@@ -84,3 +86,51 @@ def test_loads_in_libcosim(library: dict[str, Path], name: str) -> None:
     execution = CosimExecution.from_step_size(step_size=12_500_000)
     execution.add_local_slave(CosimLocalSlave(fmu_path=str(library[name]), instance_name="one"))
     assert execution.simulate_until(target_time=125_000_000)
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "files"),
+    [
+        ("database", "deep", []),  # packaged, whatever lies here
+        ("database", "./deep", ["deep"]),
+        ("unit_length", 2.5, []),
+        ("database", "folder", []),
+        ("database", "Box", ["Box.1", "Box.3", "Box.hst"]),
+        ("database", "Box.3", ["Box.1", "Box.3", "Box.hst"]),
+        ("sea", Path("sea.csv"), ["sea.csv"]),
+    ],
+)
+def test_only_files_that_an_option_means_are_its_content(
+    option: str, value: object, files: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder" / "gone").symlink_to(tmp_path / "nowhere")
+    for name in ("deep", "2.5", "2.1", "Box.1", "Box.3", "Box.hst", "Box.out", "sea.csv", "folder/x"):
+        (tmp_path / name).write_text(name)
+    label = _labels({option: value})[0]
+    assert ("sha256" in label) == bool(files)
+    for path in (p for p in tmp_path.iterdir() if p.is_file()):
+        path.write_text("changed")
+        assert (_labels({option: value})[0] != label) == (path.name in files)
+        path.write_text(path.name)
+
+
+def test_bad_names_and_options_are_one_line(tmp_path: Path) -> None:
+    with pytest.raises(CosimError, match="no component 'hydr'; did you mean 'hydro'") as expected:
+        build_with_options("hydr", ["draft=5"])
+    for ask in (lambda: build_variant("hydr", {"draft": 5}), lambda: make("hydr"), lambda: option_names("hydr")):
+        with pytest.raises(ValueError, match="no component 'hydr'") as found:
+            ask()
+        assert str(found.value) == str(expected.value)
+    with pytest.raises(ValueError, match="there is no database") as folder:
+        build_variant("hydro", {"database": tmp_path})
+    assert "\n" not in str(folder.value)
+    for name in ("a/b", "a\\b"):
+        with pytest.raises(CosimError, match="name of a file without a folder; --out names the folder"):
+            build(["servo"], folder=tmp_path / "out", name=name)
+    assert not (tmp_path / "out").exists()
+
+
+def test_options_may_be_values_or_text() -> None:
+    assert make("servo", {"sample_time": 0.01}).description == make("servo", {"sample_time": "0.01"}).description

@@ -123,6 +123,10 @@ def test_a_perturbed_reference_fails(fowt: Callable[..., Outcome], results: Path
         (("mine/none", "--against", "{torn}"), "none.parquet: cannot be read"),
         (("mine/none", "--against", "{wind}"), "wind.bts: no such file; mine/none runs with it, add it"),
         (("mine/none", "--against", "{channel}"), "has no channel 'PtfmPich'; did you mean 'PtfmPitch'"),
+        (("mine/none", "--against", "{misspelt}"), "hydro has no 'drag_coeficient'; did you mean 'drag_coefficient'"),
+        (("mine/none", "--against", "{absent}"), "'aero.wind_speed': this run has no 'aero'"),
+        (("mine/none", "--against", "{unchecked}"), "has no checks; give its lists some"),
+        (("mine/none", "--against", "{still}"), "PtfmPitch does not move; drop its R2"),
     ],
 )
 def test_a_mistake_gets_one_line(
@@ -146,6 +150,21 @@ def test_a_mistake_gets_one_line(
     )
     (changed("channel") / "verification.toml").write_text(
         PLAN.replace('["PtfmPitch"], quantity = "std"', '["PtfmPich"], quantity = "std"')
+    )
+    case = 'case = "decay5"'
+    (changed("misspelt") / "verification.toml").write_text(
+        PLAN.replace("[parameters]", "[parameters]\nhydro.drag_coeficient = 0.0")
+    )
+    (changed("absent") / "verification.toml").write_text(
+        PLAN.replace(case, f'{case}\nparameters = {{ "aero.wind_speed" = 3.0 }}')
+    )
+    (changed("unchecked") / "verification.toml").write_text(PLAN.replace('["pitch"]', "[]"))
+    still = changed("still")
+    frame = pq.read_table(still / "mine/none.parquet").to_pandas().assign(PtfmPitch=0.0)
+    frame.to_csv(still / "mine/none.csv", index=False)
+    (still / "mine/none.parquet").unlink()
+    (still / "verification.toml").write_text(
+        PLAN.replace('quantity = "frequency", near = 0.08, others = [0.54], relative', 'quantity = "mean", absolute')
     )
     (tmp_path / "empty").mkdir()
     folders = {p.name: str(p) for p in tmp_path.iterdir()} | {"results": str(results)}

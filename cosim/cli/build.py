@@ -32,6 +32,8 @@ def build(
     quiet = output is Format.JSON
     if (option or name) and len(components or []) != 1:
         raise CosimError("--option and --name are for one component: name it, as in 'fowt build hydro --option ...'")
+    if name and ("/" in name or "\\" in name):
+        raise CosimError(f"--name {name}: give the name of a file without a folder; --out names the folder")
     if option and components:
         built = {components[0]: build_with_options(components[0], option)}
     else:

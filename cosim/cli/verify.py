@@ -17,6 +17,7 @@ from cosim.case import LoadCase, Number, case_folder, read_case
 from cosim.cli.console import Format, FormatOption, emit, err, failure, note, number, out, simulation_progress, warn
 from cosim.cli.run import Changes, prepare
 from cosim.errors import CosimError, nearest
+from cosim.fmu import read_fmu
 from cosim.recording import read_channels
 from cosim.verification.plan import Comparison, choose, read_plan
 from cosim.verification.plots import plot_curve, plot_histories
@@ -38,7 +39,7 @@ def verify(
     ] = None,
     hydro_database: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="Hydrodynamics: closed, deep, or a path (WAMIT, Capytaine)."),
+        typer.Option(metavar="NAME", help="Hydrodynamics: closed, moonpool, deep, or a path."),
     ] = None,
     workers: Annotated[int, typer.Option(min=1, help="Runs at a time.")] = os.cpu_count() or 1,
     folder: Annotated[
@@ -106,10 +107,26 @@ class Setup:
     damper: str | None
     swap: tuple[str, ...]
     units: Mapping[str, str]
+    changed: Mapping[str, bool]
 
     def job(self) -> Job:
-        """The run, ready to start."""
+        """The run, ready to start.
+
+        Raises:
+            CosimError: a change names a variable that there is not, or a component that this run leaves out; of the
+                changes common to all comparisons, the latter is no mistake.
+        """
         prepared = prepare(self.case, self.damper, Changes(swap=self.swap), quiet=True)
+        fmus = {c.name: c.fmu for c in prepared.system.components}
+        for name, own in self.changed.items():
+            component, _, variable = name.partition(".")
+            if component not in fmus:
+                if own:
+                    raise CosimError(f"{self.name}: '{name}': this run has no '{component}'{nearest(component, fmus)}")
+                continue
+            known = read_fmu(fmus[component]).variables
+            if variable not in known:
+                raise CosimError(f"{self.name}: {component} has no '{variable}'{nearest(variable, known)}")
         return Job(self.name, prepared.label, prepared.system, prepared.settings)
 
 
@@ -133,7 +150,8 @@ def _setup(comparison: Comparison, against: Path | None, database: str | None) -
         options[component] = options.get(component, {}) | files
     if database is not None and "hydro" in options:
         options["hydro"]["database"] = str(database)
-    return Setup(comparison.name, changed, comparison.damper, _variants(options), units)
+    named = {n: n in comparison.own for n in (*comparison.parameters, *comparison.files)}
+    return Setup(comparison.name, changed, comparison.damper, _variants(options), units, named)
 
 
 def _file(comparison: Comparison, against: Path | None, name: str) -> Path:

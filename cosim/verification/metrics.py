@@ -58,8 +58,9 @@ def measure(
                 return float(abs(response)) if check.quantity == "amplitude" else float(np.degrees(np.angle(response)))
             case "suppression":
                 assert undamped is not None
-                reference = cut(undamped, check.channel, window_of(check, comparison), wanted)[1].std()
-                return float(100.0 * (1.0 - x.std() / reference))
+                without = cut(undamped, check.channel, window_of(check, comparison), wanted)[1]
+                _require_motion(without, undamped, check)
+                return float(100.0 * (1.0 - x.std() / without.std()))
             case _:
                 raise CosimError(f"{check.quantity} is no quantity of one record")
     except ValueError as error:
@@ -75,7 +76,13 @@ def explained_variance(
     window = window_of(check, comparison)
     time, y = cut(reference, check.channel, window, unit)
     x = CubicSpline(*cut(ours, check.channel, window, unit))(time)
+    _require_motion(y, reference, check)
     return float(1.0 - np.sum((x - y) ** 2) / np.sum((y - y.mean()) ** 2))
+
+
+def _require_motion(x: Array, record: Record, check: Check) -> None:
+    if not np.ptp(x) > 0.0:
+        raise CosimError(f"{record.where}: {check.channel} does not move; drop its {check.quantity}")
 
 
 def window_of(check: Check, comparison: Comparison) -> tuple[float, float]:

@@ -55,7 +55,7 @@ class Comparison:
     Attributes:
         name: folder and stem of the history in the reference's folder.
         table, row: in place of a history, a file of figures and the columns' values that name the row.
-        case, damper: our run; parameters: changes in it.
+        case, damper: our run; parameters: changes in it, `own` those that the comparison itself names.
         files: parameters that name a file in the reference's folder; build: component -> options that name one.
         options: component -> options with which its FMU is built, where the run has it.
         window: time compared, s; the run ends with it.
@@ -72,6 +72,7 @@ class Comparison:
     table: str | None = None
     row: Mapping[str, Any] = field(default_factory=dict)
     parameters: Mapping[str, Number] = field(default_factory=dict)
+    own: tuple[str, ...] = ()
     files: Mapping[str, str] = field(default_factory=dict)
     build: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     options: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
@@ -109,7 +110,8 @@ def read_plan(shipped: Path, folder: Path | None) -> dict[str, Comparison]:
         content = read_toml(path)
         with TomlReader(content, path, "") as top:
             for part, known in tables.items():
-                given = top.table(part)
+                given = top.values(part) if part == "parameters" else top.table(part)
+                given = _options(given, path, part) if part == "options" else given
                 known.update(given)
                 origins |= dict.fromkeys(given, path) if part == "comparison" else {}
     return {name: _comparison(name, tables, origins[name]) for name in tables["comparison"]}
@@ -150,7 +152,7 @@ def _comparison(name: str, tables: Mapping[str, Any], path: Path) -> Comparison:
         checks = sorted(listed, key=lambda c: channels.index(c.channel))
         window = _window(r.take("window", list), path, name)
         assert window is not None
-        curve = r.table("curve")
+        curve, own, files = r.table("curve"), r.values("parameters"), r.values("files")
         result = Comparison(
             name=name,
             case=r.take("case", str),
@@ -159,15 +161,18 @@ def _comparison(name: str, tables: Mapping[str, Any], path: Path) -> Comparison:
             damper=r.take("damper", str, "") or None,
             table=r.take("table", str, "") or None,
             row=r.table("row"),
-            parameters=dict(tables["parameters"]) | r.table("parameters"),
-            files=r.table("files"),
-            build=r.table("build"),
+            parameters=dict(tables["parameters"]) | own,
+            own=(*own, *files),
+            files=files,
+            build=_options(r.table("build"), path, f"{name}.build"),
             options=tables["options"],
             undamped=r.take("undamped", str, "") or None,
             wave_period=r.take("wave_period", float, 0.0) or None,
             wave_channel=r.take("wave_channel", str, "Wave1Elev"),
             whole_turns_of=r.take("whole_turns_of", str, "") or None,
         )
+    if not checks:
+        raise CosimError(f"{path}: {name} has no checks; give its lists some, or leave it out")
     if curve:
         with TomlReader(curve, path, f"{name}.curve.") as r:
             result = replace(result, curve=Curve(r.take("name", str), r.take("axis", str), r.take("at", float)))
@@ -177,6 +182,14 @@ def _comparison(name: str, tables: Mapping[str, Any], path: Path) -> Comparison:
         if check.quantity == "suppression" and result.undamped is None:
             raise CosimError(f"{path}: {name}: suppression needs 'undamped', the comparison without damper")
     return result
+
+
+def _options(tables: Mapping[str, Any], path: Path, where: str) -> dict[str, dict[str, str]]:
+    """Component -> option -> text."""
+    for component, given in tables.items():
+        if not isinstance(given, dict) or any(isinstance(v, (dict, list)) for v in given.values()):
+            raise CosimError(f"{path}: {where}.{component} should be a table of options {{ NAME = VALUE }}")
+    return {component: {k: str(v) for k, v in given.items()} for component, given in tables.items()}
 
 
 def _inherited(name: str, tables: Mapping[str, Any], path: Path) -> dict[str, Any]:
@@ -195,6 +208,8 @@ def _checks(key: str, lists: Mapping[str, Any], path: Path) -> list[Check]:
     if key not in lists:
         raise CosimError(f"{path}: no list of checks '{key}'{nearest(key, lists)}")
     found = []
+    if not isinstance(lists[key], list) or not all(isinstance(table, dict) for table in lists[key]):
+        raise CosimError(f"{path}: checks.{key} should be a list of tables [{{ channels = ..., quantity = ... }}]")
     for table in lists[key]:
         with TomlReader(table, path, f"checks.{key}.") as r:
             quantity, channels = r.take("quantity", str), r.take("channels", list)

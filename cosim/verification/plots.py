@@ -46,7 +46,8 @@ def plot_histories(
             part.plot(time[shown], x[shown], **style)
             frequency, density = _spectrum(time, x)
             low = (frequency > 0.0) & (frequency <= highest)
-            spectrum.semilogy(frequency[low], density[low], **style)
+            draw = spectrum.semilogy if np.any(density[low] > 0.0) else spectrum.plot  # a still record has no spectrum
+            draw(frequency[low], density[low], **style)
         full.set_ylabel(f"{channel}\n({unit})" if unit else channel)
         spectrum.set_ylabel(f"({unit})²/Hz" if unit else "1/Hz")
         _shorten(spectrum)

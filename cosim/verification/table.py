@@ -12,7 +12,7 @@ import pandas as pd
 
 from cosim.errors import CosimError
 from cosim.recording import read_results, write_json
-from cosim.verification.metrics import cut, explained_variance, measure, quantity_unit, window_of
+from cosim.verification.metrics import explained_variance, measure, quantity_unit
 from cosim.verification.plan import Check, Comparison
 from cosim.verification.reference import Record
 
@@ -87,7 +87,7 @@ def reference_values(
         if reference.record is None:
             values[check] = reference.figures[check.channel, check.label]
         elif check.quantity == "R2":
-            cut(reference.record, check.channel, window_of(check, comparison))
+            explained_variance(check, comparison, reference.record, reference.record, None)  # or says why there is none
             values[check] = math.nan
         else:
             undamped = references.get(comparison.undamped or "")
@@ -155,7 +155,7 @@ def _difference(check: Check, reference: float, ours: float) -> float:
     if check.quantity == "phase":
         difference = (difference + 180.0) % 360.0 - 180.0
     if check.limit == "relative":
-        return difference / abs(reference) if reference else math.inf
+        return difference / abs(reference) if reference else math.copysign(math.inf, difference) if difference else 0.0
     return difference
 
 

@@ -29,6 +29,8 @@ CHORD_OFFSET = 0.2
 #: The model fades into the static coefficients between these angles of attack.
 FADE = (np.radians(40.0), np.radians(45.0))
 LEAST_SPEED = 1.0
+#: Linearised compressible flow ends below the speed of sound; a runaway rotor keeps the value here.
+LARGEST_MACH = 0.9
 
 
 @dataclass(frozen=True)
@@ -121,7 +123,7 @@ def attached_flow(s: Aerofoil, old: Attached, started: Any, alpha: Any, speed: A
         dt: sample time, s.
     """
     U = ca.fmax(speed, LEAST_SPEED)
-    M = U / SPEED_OF_SOUND
+    M = ca.fmin(U / SPEED_OF_SOUND, LARGEST_MACH)
     squared = 1.0 - M**2
     beta = ca.sqrt(squared)
     slope = s.slope / beta

@@ -139,7 +139,7 @@ def _rotor_state(
     inner = np.tile([0.0, *r.area_weights[1:-1], 0.0], r.blades)
     induced = axial @ ca.DM(inner / inner.sum())
     tau = momentum.oye_time_constant(relative[0], induced / ca.fmax(relative[0], 1.0), r.tip_radius)
-    skew = ca.atan2(across, ca.fmax(relative[0], 1e-3))
+    skew = ca.atan2(across, ca.fabs(relative[0]))
     columns = [
         sec.ROTOR_STATE.pack(sec.RotorState(tau, dynamic, skew, ca.dot(direction, radial[k]), started))
         for k in range(r.blades)

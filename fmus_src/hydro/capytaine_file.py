@@ -79,7 +79,7 @@ def _open(path: Path) -> Any:
     try:
         with xarray.open_dataset(path) as data:
             return data.load()
-    except (ValueError, OSError, ImportError, TypeError) as error:
+    except Exception as error:  # whatever the reader of a broken file stumbles over
         reason = str(error).split(".", 1)[0].split("\n", 1)[0]
         raise ValueError(f"hydro: {path.name} cannot be read ({reason}); pip install fowt-cosim[hydro]") from None
 

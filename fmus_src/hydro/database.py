@@ -7,7 +7,9 @@ with heading b (0: along +x, downwind). Degrees of freedom 1..6: surge, sway, he
 from __future__ import annotations
 
 import json
+import math
 import re
+import warnings
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -22,6 +24,13 @@ Complex = npt.NDArray[np.complex128]
 PACKAGED = {"closed": "barge.json", "moonpool": "barge_moonpool.json", "deep": "barge_deep.json"}
 # What a file lacks: the ITI Energy barge's (Jonkman, NREL/TP-500-41958, 2007).
 DEFAULTS = {"volume": 6000.0, "depth": 150.0, "density": 1025.0, "gravity": 9.80665}
+OPTIONS = {"volume": "displaced_volume", "depth": "water_depth", "density": "water_density", "gravity": "gravity"}
+EXAMPLES = {
+    "displaced_volume": "6000 m3", "water_depth": "150 m; for deep water a large finite depth such as 1e5 m",
+    "water_density": "1025 kg/m3", "gravity": "9.80665 m/s2", "unit_length": "1 m", "draft": "4 m",
+}  # fmt: skip
+# Heave added mass at infinite frequency over displaced mass: what a floating body's may be.
+PLAUSIBLE = (0.01, 100.0)
 # Of sqrt(ii jj): coefficients ij and ji further apart are refused (coarse panels reach 0.07), or stated.
 NOT_RECIPROCAL, STATED = 0.10, 0.01
 NEGLIGIBLE = 1e-3  # of sqrt(ii jj): a coupling below this at all frequencies is the panels' noise
@@ -75,13 +84,17 @@ def load(
             WAMIT files by their common root, "DIR/Barge" (or one of them, "DIR/Barge.1").
         volume, depth, density, gravity: what the file lacks, m3, m, kg/m3, m/s2; default: the ITI Energy barge's. A
             figure that the file states is taken from it.
-        unit_length: m, of the non-dimensional WAMIT coefficients (ULEN).
+        unit_length: m, of the non-dimensional WAMIT coefficients (ULEN); other databases have none.
 
     Raises:
         ValueError: no such database, a file with missing or contradictory figures, or an argument that contradicts it.
     """
     given = {"volume": volume, "depth": depth, "density": density, "gravity": gravity}
     path = Path(what)
+    positive("unit_length", unit_length)
+    wamit = str(what) not in PACKAGED and path.suffix not in (".json", ".nc")
+    if unit_length != 1.0 and not wamit:
+        raise ValueError(f"hydro: unit_length {unit_length:g} is for WAMIT's files, not for {what}; leave it out")
     if str(what) in PACKAGED:
         result = _packaged(str(what))
         stated(path.name, {key: getattr(result, key) for key in DEFAULTS}, given)
@@ -92,7 +105,13 @@ def load(
     elif path.suffix == ".nc" and path.is_file():
         from fmus_src.hydro.capytaine_file import read_capytaine
 
-        result = read_capytaine(path, given)
+        try:
+            result = read_capytaine(path, given)
+        except (ValueError, KeyError, IndexError, TypeError, AttributeError) as error:
+            if str(error).startswith("hydro:"):
+                raise
+            reason = str(error).split("\n", 1)[0]
+            raise ValueError(f"hydro: {path.name} is no Capytaine dataset of one body ({reason})") from None
     elif any(path.parent.glob(f"{_wamit_root(path).name}.[13]")):
         from fmus_src.hydro.wamit_file import read_wamit
 
@@ -114,16 +133,43 @@ def _wamit_root(path: Path) -> Path:
     return path.with_suffix("") if path.suffix in (".1", ".3", ".hst") else path
 
 
+def positive(option: str, value: float, file: str | None = None) -> float:
+    """The value of an option (of a file, if one is named).
+
+    Raises:
+        ValueError: it is not above zero, or not finite.
+    """
+    if not (math.isfinite(value) and value > 0.0):
+        place = f"{file}: " if file else ""
+        raise ValueError(f"hydro: {place}{option} {value:g} must be a finite number above 0, e.g. {EXAMPLES[option]}")
+    return value
+
+
+def warn_of_scale(database: HydroDatabase) -> None:
+    """Warn if the added mass is out of all proportion to the displaced mass, as with a wrong unit length."""
+    ratio = float(database.added_mass_infinite[2, 2]) / (database.density * database.volume)
+    if not PLAUSIBLE[0] <= ratio <= PLAUSIBLE[1]:
+        warnings.warn(
+            f"{database.name}: heave added mass at infinite frequency is {ratio:.3g} times the displaced mass; "
+            "check unit_length and displaced_volume",
+            stacklevel=3,
+        )
+
+
 def stated(file: str, found: dict[str, float], given: dict[str, float | None]) -> dict[str, float]:
     """Volume, depth, density and gravity: as the file has them, else as given, else the defaults.
 
     Raises:
-        ValueError: one that is given contradicts the file's.
+        ValueError: one that is given contradicts the file's, or one is not above zero and finite.
     """
     result = {}
     for key, default in DEFAULTS.items():
         own, asked = found.get(key), given.get(key)
-        if own is not None and asked is not None and abs(own - asked) > 1e-6 * abs(own):
+        if asked is not None:
+            positive(OPTIONS[key], asked)
+        if own is not None:
+            positive(OPTIONS[key], own, file)
+        if own is not None and asked is not None and not abs(own - asked) <= 1e-6 * abs(own):
             raise ValueError(f"hydro: {file} states {key} {own:g}, not {asked:g}; leave the option out")
         result[key] = own if own is not None else asked if asked is not None else default
     return result
@@ -137,11 +183,11 @@ def checked(database: HydroDatabase) -> HydroDatabase:
             not reciprocal, negative damping, or a stiffness that the model has no place for.
     """
     d = database
-    falls = np.flatnonzero(np.diff(d.omega) <= 0.0)
-    if len(d.omega) < 8 or len(falls) or d.omega[0] <= 0.0:
+    falls = np.flatnonzero(~(np.diff(d.omega) > 0.0))
+    if len(d.omega) < 8 or len(falls) or not d.omega[0] > 0.0:
         where = f"they do not after {d.omega[falls[0]]:g} rad/s" if len(falls) else f"there are {len(d.omega)}"
         raise ValueError(f"hydro: {d.name}: eight or more frequencies must rise from above zero; {where}")
-    for what in ("added_mass", "damping", "excitation", "stiffness"):
+    for what in ("omega", "heading", "added_mass", "damping", "excitation", "stiffness"):
         bad = np.argwhere(~np.isfinite(getattr(d, what)))
         if len(bad):
             raise ValueError(f"hydro: {d.name}: {what.replace('_', ' ')} is no number at index {bad[0].tolist()}")
@@ -204,11 +250,14 @@ def read(path: Path) -> HydroDatabase:
     """Read a database written by `save`.
 
     Raises:
-        ValueError: the file lacks an entry.
+        ValueError: no JSON, or the file lacks an entry.
     """
-    data: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     try:
-        omega, heading = np.array(data["omega"]), np.radians(data["heading_deg"])
+        data: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, OSError, RecursionError) as error:
+        raise ValueError(f"hydro: {path.name} is no JSON ({error}); write it anew with compute_database") from None
+    try:
+        omega, heading = np.array(data["omega"], dtype=float), np.radians(np.array(data["heading_deg"], dtype=float))
         excitation = np.zeros((len(omega), len(heading), 6), dtype=complex)
         for i in range(6):
             x = data["excitation"][str(i + 1)]
@@ -222,15 +271,15 @@ def read(path: Path) -> HydroDatabase:
             damping=_full(data["damping"], len(omega)),
             excitation=excitation,
             stiffness=_full(data["stiffness"], 1)[0],
-            volume=data["volume"],
-            depth=data["depth"],
-            density=data["density"],
-            gravity=data["gravity"],
+            volume=float(data["volume"]),
+            depth=float(data["depth"]),
+            density=float(data["density"]),
+            gravity=float(data["gravity"]),
             provenance=tuple(data["provenance"]),
         )
     except KeyError as missing:
         raise ValueError(f"hydro: {path.name} lacks {missing}; write it anew with compute_database") from None
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, AttributeError, IndexError) as error:
         raise ValueError(f"hydro: {path.name}: lists of unlike length or no numbers ({error})") from None
 
 

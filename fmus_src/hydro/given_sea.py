@@ -31,11 +31,16 @@ def read(path: Path) -> WaveComponents:
     The columns are either omega_rad_s, amplitude_m, phase_rad; or time_s (or Time), elevation_m (or Wave1Elev).
 
     Raises:
-        ValueError: no such file or columns, values that are no numbers, or times that are not evenly spaced.
+        ValueError: no such file or columns, a file that cannot be read, values that are no numbers, or a record as
+            `from_record` refuses it.
     """
     if not path.is_file():
         raise ValueError(f"sea: there is no file '{path}'")
-    table = pd.read_parquet(path) if path.suffix == ".parquet" else pd.read_csv(path, skipinitialspace=True)
+    try:
+        table = pd.read_parquet(path) if path.suffix == ".parquet" else pd.read_csv(path, skipinitialspace=True)
+    except Exception as error:  # whatever the reader of a broken file stumbles over
+        reason = (str(error) or type(error).__name__).split("\n", 1)[0]
+        raise ValueError(f"sea: {path.name} cannot be read ({reason}); give a CSV or Parquet file") from None
     if set(COMPONENT_COLUMNS) <= set(table.columns):
         return WaveComponents(*(_column(path, table, name) for name in COMPONENT_COLUMNS))
     time = next((name for name in TIME_COLUMNS if name in table.columns), None)
@@ -45,8 +50,9 @@ def read(path: Path) -> WaveComponents:
             f"sea: {path.name} needs the columns {', '.join(COMPONENT_COLUMNS)}, or {TIME_COLUMNS[0]} and "
             f"{ELEVATION_COLUMNS[0]} ({TIME_COLUMNS[1]} and {ELEVATION_COLUMNS[1]})"
         )
+    samples = _column(path, table, time), _column(path, table, elevation)
     try:
-        return from_record(_column(path, table, time), _column(path, table, elevation))
+        return from_record(*samples)
     except ValueError as error:
         raise ValueError(f"sea: {path.name}: {error}") from None
 
@@ -59,7 +65,7 @@ def from_record(time: Array, elevation: Array) -> WaveComponents:
             and counts once.
 
     Raises:
-        ValueError: fewer than 16 samples, or times that are not evenly spaced.
+        ValueError: fewer than 16 samples, an elevation that does not move, or times that are not evenly spaced.
     """
     if len(time) < 16:
         raise ValueError(f"{len(time)} samples make no record of a sea")
@@ -68,6 +74,8 @@ def from_record(time: Array, elevation: Array) -> WaveComponents:
     if not step > 0.0 or len(uneven):
         place = time[uneven[0]] if len(uneven) else time[0]
         raise ValueError(f"times must rise evenly; they do not at {place:g} s: resample the record")
+    if np.ptp(elevation) <= 1e-9 * np.abs(elevation).max():
+        raise ValueError(f"the elevation does not move: all {len(elevation)} samples are {elevation[0]:g} m")
     step = float(time[-1] - time[0]) / (len(time) - 1)  # times of single precision are even on the whole
     if abs(elevation[-1] - elevation[0]) < 1e-3 * float(np.std(elevation)):
         elevation = elevation[:-1]

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from fmus_src.component import Component
 from fmus_src.hydro import excitation, given_sea, headings, waves
-from fmus_src.hydro.database import HydroDatabase, load, wave_number
+from fmus_src.hydro.database import DEFAULTS, HydroDatabase, load, positive, stated, warn_of_scale, wave_number
 from fmus_src.hydro.radiation import RadiationModel, radiation_model
 
 Array = npt.NDArray[np.float64]
@@ -81,19 +81,23 @@ def component(
             or of an elevation record (see `given_sea.read`).
         displaced_volume, water_depth, water_density, gravity: m3, m, kg/m3, m/s2: what the file lacks (default: the
             barge's 6000, 150, 1025, 9.80665).
-        unit_length: m, ULEN of WAMIT's files.
+        unit_length: m, ULEN of WAMIT's files; other databases have none.
         draft: m, length of the drag member from mean sea level down.
 
     Raises:
-        ValueError: as `database.load`; a sea outside the database's frequencies.
+        ValueError: as `database.load`; a sea outside the database's frequencies; a draft beyond the water depth.
     """
-    if not isinstance(database, HydroDatabase):
-        database = load(
-            database, volume=displaced_volume, depth=water_depth, density=water_density, gravity=gravity,
-            unit_length=unit_length,
-        )  # fmt: skip
-    if not draft > 0.0:
-        raise ValueError(f"hydro: draft {draft:g} m must be above 0")
+    positive("draft", draft)
+    given = {"volume": displaced_volume, "depth": water_depth, "density": water_density, "gravity": gravity}
+    if isinstance(database, HydroDatabase):
+        stated(database.name, {key: getattr(database, key) for key in DEFAULTS}, given)
+        if unit_length != 1.0:
+            raise ValueError(f"hydro: unit_length {unit_length:g} is for WAMIT's files; leave it out")
+    else:
+        database = load(database, **given, unit_length=unit_length)
+    if not draft <= database.depth:
+        raise ValueError(f"hydro: draft {draft:g} m must not be above the water depth, {database.depth:g} m")
+    warn_of_scale(database)
     c = Component("hydro", "Waves, hydrostatics, radiation and viscous drag of the platform", symbols="MX")
     water = _water(database, draft)
     heading = _heading(c, water)
