@@ -194,6 +194,21 @@ def test_separation_is_twice_as_fast_in_leading_edge_stall_and_half_as_fast_afte
     assert got["D_f"][1:] == pytest.approx(expected, abs=1e-12)
 
 
+def test_stalled_section_sheds_vortices_at_the_strouhal_number() -> None:
+    """Eq. 1.54: past stall a new vortex starts T_VL + T_sh after the last, T_sh = 2 (1 - f'') / 0.19 semi-chords.
+    The angle creeps up, for the model sheds anew only while the lagged normal force grows."""
+    speed, dt = 50.0, 0.0025
+    ds = 2.0 * speed * dt / constants(OUTER)["chord"]
+    got = run(OUTER, np.radians(np.linspace(16.0, 24.0, 2500)), speed, dt)
+    assert (got["N_lagged"] > constants(OUTER)["stall"]).all()
+    shed = np.flatnonzero(np.diff(got["tau"]) < 0.0) + 1
+    assert shed.size > 8
+    separated = 1.0 - (got["f"] - got["D_f"])[shed[1:]]
+    assert separated.min() > 0.4
+    # To the sample in which it comes.
+    assert np.diff(shed) * ds == pytest.approx(11.0 + 2.0 * separated / 0.19, abs=1.01 * ds)
+
+
 def test_slow_oscillation_through_stall_is_steady() -> None:
     """The loop closes in proportion to the frequency."""
 
