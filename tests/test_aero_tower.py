@@ -80,7 +80,10 @@ def disturbed(points: np.ndarray, wind: np.ndarray, support: np.ndarray) -> np.n
     return np.asarray(ca.Function("f", given, [tower.disturbed(tower.tower(), air, *given)])(support, points, wind))
 
 
-def support(position: np.ndarray = np.zeros(3), axes: np.ndarray = np.eye(3), **more: np.ndarray) -> np.ndarray:  # noqa: B008
+ORIGIN, UPRIGHT = np.zeros(3), np.eye(3)
+
+
+def support(position: np.ndarray = ORIGIN, axes: np.ndarray = UPRIGHT, **more: np.ndarray) -> np.ndarray:
     given = {"velocity": np.zeros(3), "omega": np.zeros(3), "deflection": np.zeros(4), "rate": np.zeros(4)} | more
     return np.concatenate([position, axes.T.ravel(), *given.values()])
 

@@ -221,7 +221,7 @@ def test_headings_that_are_not_covered_are_refused() -> None:
         warnings.simplefilter("ignore")  # of the fit, to a quarter of the frequencies
         c = component(ahead)
     heading = next(v for v in derive(c).of("parameter") if v.name == "heading")
-    assert np.degrees([heading.min, heading.max]) == pytest.approx([-0.01, 0.01])  # type: ignore[list-item]
+    assert np.degrees([heading.min, heading.max]) == pytest.approx([-0.01, 0.01])
     assert "covered: 0 deg only" in c.description
     # One heading twice, with different forces.
     twice = replace(off, heading=np.radians([0.0, 360.0]), excitation=off.excitation[:, [0, 3]])
@@ -323,7 +323,7 @@ def test_figures_must_be_finite_and_above_zero(option: str, value: float, tmp_pa
     root = write_wamit(every(load("closed"), 20), tmp_path / "Box")
     for database in ("closed", str(root)):
         with pytest.raises(ValueError, match=message):
-            component(database, **{option: value})  # type: ignore[arg-type]
+            component(database, **{option: value})
 
 
 def test_figures_that_contradict_are_refused(tmp_path: Path) -> None:

@@ -38,11 +38,11 @@ def record(where: str = "here", **channels: np.ndarray) -> Record:
 
 
 def check(quantity: Quantity, channel: str = "X", limit: str = "relative", **others: object) -> Check:
-    return Check(channel, quantity, quantity, limit, 0.01, **others)  # type: ignore[arg-type]
+    return Check(channel, quantity, quantity, limit, 0.01, **others)
 
 
 def comparison(*checks: Check, **others: object) -> Comparison:
-    return Comparison("c", "case", checks, (0.0, 200.0), **others)  # type: ignore[arg-type]
+    return Comparison("c", "case", checks, (0.0, 200.0), **others)
 
 
 # --- quantities ------------------------------------------------------------------------------------------------------

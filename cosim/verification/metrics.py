@@ -58,8 +58,7 @@ def measure(
                 return float(abs(response)) if check.quantity == "amplitude" else float(np.degrees(np.angle(response)))
             case "suppression":
                 assert undamped is not None
-                without = cut(undamped, check.channel, window_of(check, comparison), wanted)[1]
-                _require_motion(without, undamped, check)
+                without = moving(check, comparison, undamped, wanted)[1]
                 return float(100.0 * (1.0 - x.std() / without.std()))
             case _:
                 raise CosimError(f"{check.quantity} is no quantity of one record")
@@ -73,16 +72,21 @@ def explained_variance(
     check: Check, comparison: Comparison, reference: Record, ours: Record, unit: str | None
 ) -> float:
     """R2: share of the reference's variance that ours explains: 1 - sum (ours - reference)^2 over its own sum."""
-    window = window_of(check, comparison)
-    time, y = cut(reference, check.channel, window, unit)
-    x = CubicSpline(*cut(ours, check.channel, window, unit))(time)
-    _require_motion(y, reference, check)
+    time, y = moving(check, comparison, reference, unit)
+    x = CubicSpline(*cut(ours, check.channel, window_of(check, comparison), unit))(time)
     return float(1.0 - np.sum((x - y) ** 2) / np.sum((y - y.mean()) ** 2))
 
 
-def _require_motion(x: Array, record: Record, check: Check) -> None:
+def moving(check: Check, comparison: Comparison, record: Record, unit: str | None = None) -> tuple[Array, Array]:
+    """Times and values of the record that a check divides by.
+
+    Raises:
+        CosimError: as `cut`, or the channel does not move.
+    """
+    time, x = cut(record, check.channel, window_of(check, comparison), unit)
     if not np.ptp(x) > 0.0:
         raise CosimError(f"{record.where}: {check.channel} does not move; drop its {check.quantity}")
+    return time, x
 
 
 def window_of(check: Check, comparison: Comparison) -> tuple[float, float]:

@@ -12,7 +12,7 @@ import pandas as pd
 
 from cosim.errors import CosimError
 from cosim.recording import read_results, write_json
-from cosim.verification.metrics import explained_variance, measure, quantity_unit
+from cosim.verification.metrics import explained_variance, measure, moving, quantity_unit
 from cosim.verification.plan import Check, Comparison
 from cosim.verification.reference import Record
 
@@ -87,7 +87,7 @@ def reference_values(
         if reference.record is None:
             values[check] = reference.figures[check.channel, check.label]
         elif check.quantity == "R2":
-            explained_variance(check, comparison, reference.record, reference.record, None)  # or says why there is none
+            moving(check, comparison, reference.record)  # or says why there is no R2
             values[check] = math.nan
         else:
             undamped = references.get(comparison.undamped or "")

@@ -7,11 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import fields
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import casadi as ca
 
-_T = TypeVar("_T")
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+_T = TypeVar("_T", bound="DataclassInstance")
 
 
 class Layout(Generic[_T]):
@@ -19,7 +22,7 @@ class Layout(Generic[_T]):
 
     def __init__(self, kind: type[_T], **sizes: int) -> None:
         self.kind = kind
-        self.sizes = {f.name: sizes.get(f.name, 1) for f in fields(kind)}  # type: ignore[arg-type]
+        self.sizes = {f.name: sizes.get(f.name, 1) for f in fields(kind)}
 
     @property
     def size(self) -> int:
