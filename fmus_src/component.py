@@ -6,7 +6,7 @@ A component is the continuous-time (and optionally sampled) system
     z+ = g(t, x, z, u, p, k, w)         sampled states           `sampled_state`, `update`
     y  = h(t, x, z, u, p, k, w)         outputs                  `output`
     k  = c(p)                           calculated parameters    `calculated`
-    w  = l(t, x, z, u, p, k)            lookups: tables, wind fields, implicit equations, intermediate results
+    w  = l(t, x, z, u, p, k)            lookups: tables, wind fields, implicit equations, intermediate results, switches
 
 with inputs u and parameters p. Declaring a variable returns its CasADi symbol (a column vector, or a matrix for a
 two-element shape), to be used in the equations that follow. Names are FMI structured names ("platform.velocity");
@@ -39,7 +39,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from fmus_src.lookups import FieldLookup, ImplicitLookup, Lookup, StoredLookup, TableLookup
+from fmus_src.lookups import FieldLookup, ImplicitLookup, Lookup, StoredLookup, SwitchLookup, TableLookup
 from fmus_src.units import unit as resolve_unit
 from fmus_src.variable import Causality, Kind, Variable
 
@@ -68,6 +68,7 @@ class Component:
         internal_step: largest sub-step of the Runge-Kutta integrator, s.
         sample_time: period of `update`, s (sampled components only).
         sample_at_start: whether the first sample is taken at the start, with the inputs then, not one period later.
+        directional_derivatives: whether its FMU gives them; without, it has half the code.
     """
 
     def __init__(
@@ -79,6 +80,7 @@ class Component:
         internal_step: float = 0.0125,
         sample_time: float | None = None,
         sample_at_start: bool = False,
+        directional_derivatives: bool = True,
     ) -> None:
         if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
             raise ValueError(f"component name '{name}' must be a lower-case C identifier")
@@ -91,6 +93,7 @@ class Component:
         self.internal_step = internal_step
         self.sample_time = sample_time
         self.sample_at_start = sample_at_start
+        self.directional_derivatives = directional_derivatives
         self.sym = ca.SX if symbols == "SX" else ca.MX
         self.time = self.sym.sym("time")
         self.strings: list[Variable] = []
@@ -240,6 +243,22 @@ class Component:
         """
         self._lookup(StoredLookup(name, int(expression.numel())), ca.vec(expression), (int(expression.numel()),))
         return ca.reshape(self.lookup_symbols[-1], *expression.shape)
+
+    def switch(self, name: str, expression: Any) -> Any:
+        """Declare where the equations are not smooth: the zeros of `expression`.
+
+        Write the equations with the symbol returned in place of a comparison (`ca.if_else`, `ca.fmax`). The integrator
+        holds it over a sub-step, so that its formula sees smooth equations, and ends the sub-step just past the
+        first zero: the order of convergence is kept. A sign that changes twice within one sub-step goes unseen.
+
+        Args:
+            expression: column of n continuous functions of time, states, inputs, parameters and lookups.
+
+        Returns:
+            symbol of n elements: 1 where `expression` > 0, else 0.
+        """
+        size = int(expression.numel())
+        return self._lookup(SwitchLookup(name, size), ca.vec(expression), (size,))
 
     def table(self, name: str, data: Array, first: float, spacing: float, which: Sequence[int], x: Any) -> Any:
         """Look up x[i] in table which[i] by linear interpolation on a uniform grid, held beyond its ends.

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fmus_src.component import Component
-from fmus_src.lookups import Lookup
+from fmus_src.lookups import Lookup, SwitchLookup
 from fmus_src.variable import Causality, Variable
 
 STATE_INPUTS = ("t", "x", "z", "u", "p", "k", "w")
@@ -20,9 +20,11 @@ STATE_INPUTS = ("t", "x", "z", "u", "p", "k", "w")
 class Equations:
     """A component's equations, checked and compiled to CasADi functions.
 
-    All of `derivatives`, `outputs`, `update` and `lookup_arguments[i]` take (t, x, z, u, p, k, w): time, states,
-    sampled states, inputs, parameters, calculated parameters, lookup results. `forward` takes these and the seeds
-    (dx, du, dw) and returns (dx', dy); `lookup_forward[i]` likewise for a lookup's arguments.
+    All of `derivatives`, `outputs`, `update`, `switches` and `lookup_arguments[i]` take (t, x, z, u, p, k, w): time,
+    states, sampled states, inputs, parameters, calculated parameters, lookup results. `forward` takes these and seeds
+    (dx, du, dw) and returns (dx', dy); `lookup_forward[i]` likewise for a lookup's arguments. Both are left out of a
+    component without directional derivatives. The signs of what `switches` returns are the switches' results in w, at
+    `switch_positions()`.
     """
 
     component: Component
@@ -35,8 +37,9 @@ class Equations:
     derivatives: ca.Function
     outputs: ca.Function
     update: ca.Function
+    switches: ca.Function
     lookup_arguments: tuple[ca.Function, ...]
-    forward: ca.Function
+    forward: ca.Function | None
     lookup_forward: tuple[ca.Function, ...]
 
     def of(self, *causalities: Causality) -> list[Variable]:
@@ -46,29 +49,60 @@ class Equations:
     def functions(self) -> list[ca.Function]:
         """All functions, in the order in which C is generated."""
         return [
-            self.calculate, self.initial, self.derivatives, self.outputs, self.update, self.forward,
-            *self.lookup_arguments, *self.lookup_forward,
+            self.calculate, self.initial, self.derivatives, self.outputs, self.update, self.switches,
+            *([self.forward] if self.forward else []), *self.lookup_arguments, *self.lookup_forward,
         ]  # fmt: skip
+
+    def switch_positions(self) -> npt.NDArray[np.int_]:
+        """Where the switches' results stand in w."""
+        kinds = [isinstance(lookup, SwitchLookup) for lookup in self.lookups for _ in range(lookup.result_size)]
+        return np.flatnonzero(kinds)
 
     def output_dependencies(self) -> npt.NDArray[np.bool_]:
         """Direct feed-through: outputs (rows) by inputs (columns), through lookups too."""
         of_inputs = [np.zeros((0, self.sizes["u"]), dtype=bool)]
         for lookup, function in zip(self.lookups, self.lookup_arguments, strict=True):
-            of_arguments = self._sparsity(function, "u") | self._through(function, of_inputs)
+            of_arguments = self.sparsity(function, "u") | self._through(function, of_inputs)
             of_inputs.append((lookup.dependencies().astype(int) @ of_arguments.astype(int)) > 0)
-        return self._sparsity(self.outputs, "u") | self._through(self.outputs, of_inputs)
+        return self.sparsity(self.outputs, "u") | self._through(self.outputs, of_inputs)
 
-    def outputs_look_up(self) -> bool:
-        """Whether any output depends on a lookup."""
-        return bool(self._sparsity(self.outputs, "w").any())
+    def discrete_outputs(self) -> npt.NDArray[np.bool_]:
+        """Outputs that change at sample instants only: they depend on neither time, states nor inputs, (y,)."""
+        changes = np.zeros((0, 1), dtype=bool)
+        for lookup, function in zip(self.lookups, self.lookup_arguments, strict=True):
+            of_arguments = self._varies(function) | self._through(function, [changes])
+            changes = np.vstack([changes, (lookup.dependencies().astype(int) @ of_arguments.astype(int)) > 0])
+        return ~(self._varies(self.outputs) | self._through(self.outputs, [changes])).ravel()
+
+    def lookup_uses(self) -> list[tuple[str, ...]]:
+        """Of each lookup, the functions that need its results, directly or through later lookups."""
+        first = np.cumsum([0, *(lookup.result_size for lookup in self.lookups)])
+        uses: list[tuple[str, ...]] = [()] * len(self.lookups)
+        wanting = {f.name(): self._wants(f) for f in (self.derivatives, self.outputs, self.update, self.switches)}
+        for i in reversed(range(len(self.lookups))):
+            uses[i] = tuple(name for name, wants in wanting.items() if wants[first[i] : first[i + 1]].any())
+            for name in uses[i]:
+                wanting[name] = wanting[name] | self._wants(self.lookup_arguments[i])
+        return uses
 
     def _through(self, function: ca.Function, of_inputs: list[Any]) -> Any:
         known = np.vstack(of_inputs)
-        direct = self._sparsity(function, "w")[:, : known.shape[0]]
+        direct = self.sparsity(function, "w")[:, : known.shape[0]]
         return (direct.astype(int) @ known.astype(int)) > 0
 
     @staticmethod
-    def _sparsity(function: ca.Function, name: str) -> npt.NDArray[np.bool_]:
+    def _wants(function: ca.Function) -> npt.NDArray[np.bool_]:
+        """Which lookup results a function depends on."""
+        return np.diff(function.jac_sparsity(0, STATE_INPUTS.index("w")).colind()) > 0
+
+    def _varies(self, function: ca.Function) -> npt.NDArray[np.bool_]:
+        """Whether each result depends on time, states or inputs directly, (n, 1)."""
+        varies = np.hstack([self.sparsity(function, name) for name in ("t", "x", "u")]).any(axis=1, keepdims=True)
+        return np.asarray(varies)
+
+    @staticmethod
+    def sparsity(function: ca.Function, name: str) -> npt.NDArray[np.bool_]:
+        """Whether each result of a function of (t, x, z, u, p, k, w) depends on each element of an argument."""
         pattern = function.jac_sparsity(0, STATE_INPUTS.index(name))
         return np.asarray(ca.DM(pattern, 1.0).full() != 0.0)
 
@@ -113,6 +147,9 @@ def derive(component: Component) -> Equations:
     calculated = _in_order(p, groups["calculated"], sym)
     initial = [column(groups["state"].expressions), column(groups["sampled_state"].expressions)]
     lookup_arguments = [ca.densify(a) for a in component.lookup_arguments]
+    switching = [isinstance(lookup, SwitchLookup) for lookup in component.lookups]
+    signs = [a for a, s in zip(lookup_arguments, switching, strict=True) if s]
+    switches = function("switches", arguments, [column(signs)])
     derivatives, outputs = function("derivatives", arguments, [rate]), function("outputs", arguments, [y])
     # Directions through lookups that neither rates nor outputs depend on are not needed: zero, which spares code.
     used = any(f.jac_sparsity(0, STATE_INPUTS.index("w")).nnz() for f in (derivatives, outputs))
@@ -129,11 +166,12 @@ def derive(component: Component) -> Equations:
         derivatives=derivatives,
         outputs=outputs,
         update=function("update", arguments, [following]),
+        switches=switches,
         lookup_arguments=tuple(function(f"lookup{i}", arguments, [a]) for i, a in enumerate(lookup_arguments)),
-        forward=directional("forward", [rate, y]),
+        forward=directional("forward", [rate, y]) if component.directional_derivatives else None,
         lookup_forward=tuple(
-            directional(f"lookup{i}_forward", [a if used else sym.zeros(a.shape)])
-            for i, a in enumerate(lookup_arguments)
+            directional(f"lookup{i}_forward", [a if used and not switching[i] else sym.zeros(a.shape)])
+            for i, a in enumerate(lookup_arguments if component.directional_derivatives else [])
         ),
     )
 
@@ -143,5 +181,6 @@ def _in_order(p: Any, group: Any, sym: Any) -> Any:
     done: list[Any] = []
     for expression in group.expressions:
         earlier = group.symbols[: len(done)]
-        done.append(ca.substitute([expression], earlier, done)[0] if earlier else expression)
+        uses = earlier and ca.depends_on(expression, ca.vertcat(*earlier))
+        done.append(ca.substitute([expression], earlier, done)[0] if uses else expression)
     return ca.vertcat(*done) if done else sym(0, 1)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -12,10 +14,16 @@ import pandas as pd
 
 from fmus_src.component import Component
 from fmus_src.equations import Equations, derive
-from fmus_src.lookups import LookupMemory
+from fmus_src.lookups import LookupMemory, SwitchLookup
 from fmus_src.variable import Causality
 
 Array = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
+
+# As in the C runtime (integration.c).
+_CROSSING_TOLERANCE = 1e-10
+_MAX_ITERATIONS = 60
+_MAX_CROSSINGS = 20
 
 _KEYS: dict[str, Causality] = {
     "p": "parameter",
@@ -135,13 +143,17 @@ class Instance:
     def _outputs(self) -> Array:
         return _flat(self.equations.outputs(*self._arguments(self.time, self._values["x"])))
 
-    def _arguments(self, t: float, x: Array) -> list[Any]:
+    def _arguments(self, t: float, x: Array, held: Flags | None = None) -> list[Any]:
+        """Arguments of the equations, lookups evaluated; `held`: results of the switches, in place of their signs."""
         v, e = self._values, self.equations
         arguments: list[Any] = [t, x, v["z"], v["u"], v["p"], v["k"], np.zeros(e.sizes["w"])]
         first = 0
+        if held is not None:
+            arguments[6][e.switch_positions()] = held
         for lookup, function in zip(e.lookups, e.lookup_arguments, strict=True):
-            result = lookup.evaluate(_flat(function(*arguments)), self._memory)
-            arguments[6][first : first + lookup.result_size] = result
+            if held is None or not isinstance(lookup, SwitchLookup):
+                result = lookup.evaluate(_flat(function(*arguments)), self._memory)
+                arguments[6][first : first + lookup.result_size] = result
             first += lookup.result_size
         return arguments
 
@@ -152,20 +164,93 @@ class Instance:
             return
         steps = max(1, math.ceil(span / self.equations.component.internal_step - 1e-6))
         h, begin, x = span / steps, self.time, self._values["x"]
-
-        def rate(t: float, x: Array) -> Array:
-            self._values["u"] = u0 + self._slope * (t - t0)
-            return _flat(self.equations.derivatives(*self._arguments(t, x)))
-
         for i in range(steps):
-            t = begin + i * h
-            k1 = rate(t, x)
-            k2 = rate(t + h / 2, x + h / 2 * k1)
-            k3 = rate(t + h / 2, x + h / 2 * k2)
-            k4 = rate(t + h, x + h * k3)
-            x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+            x = self._sub_step(_Input(u0, self._slope, t0), begin + i * h, h, x)
         self._values["x"] = x
         self.time = end
+
+    def _sub_step(self, u: _Input, t: float, h: float, x: Array) -> Array:
+        """States after h: a Runge-Kutta step, or several from one crossing of a switch to the next."""
+        done, held = 0.0, np.zeros(len(self.equations.switch_positions()), dtype=bool)
+        if not held.size:
+            return self._runge_kutta(u, t, h, x, held)
+        for crossing in count():
+            now, left = t + done, h - done
+            before = self._switches(u, now, x, held)
+            held = before > 0.0
+            after = self._switches(u, now + left, y := self._runge_kutta(u, now, left, x, held), held)
+            departs = (before == 0.0) & ((after > 0.0) != held)
+            if departs.any():  # from zero: the sign is that of what follows
+                held = held ^ departs
+                after = self._switches(u, now + left, y := self._runge_kutta(u, now, left, x, held), held)
+            if crossing == _MAX_CROSSINGS or not _crossed(after, held, before).any():
+                return y
+            length, x = self._locate(u, now, left, (x, before), (y, after), held)
+            done += length
+            if done >= h:
+                break
+        return x
+
+    def _locate(
+        self, u: _Input, t: float, h: float, begin: tuple[Array, Array], end: tuple[Array, Array], held: Flags
+    ) -> tuple[float, Array]:
+        """Length of the step that ends just past the first crossing, and the states there (Illinois' method)."""
+        x, before = begin
+        y, s_b = end
+        s_a, a, b, w_a, w_b, slow = before, 0.0, h, 1.0, 1.0, 0
+        side = 0
+        for _ in range(_MAX_ITERATIONS):
+            crossed, width = _crossed(s_b, held, before), b - a
+            v_a, v_b = w_a * s_a[crossed], w_b * s_b[crossed]
+            zero = a + width * float(np.min(v_a / (v_a - v_b)))
+            tolerance = _CROSSING_TOLERANCE * h
+            if b - zero <= tolerance:
+                break
+            trial = zero + 0.5 * tolerance if slow < 3 else 0.5 * (a + b)
+            y_trial = self._runge_kutta(u, t, trial, x, held)
+            s_trial = self._switches(u, t + trial, y_trial, held)
+            if _crossed(s_trial, held, before).any():
+                b, y, s_b, w_b = trial, y_trial, s_trial, 1.0
+                w_a = 0.5 * w_a if side == 1 else w_a
+                side = 1
+            else:
+                a, s_a, w_a = trial, s_trial, 1.0
+                w_b = 0.5 * w_b if side == -1 else w_b
+                side = -1
+            slow = slow + 1 if b - a > 0.5 * width else 0
+        return b, y
+
+    def _switches(self, u: _Input, t: float, x: Array, held: Flags) -> Array:
+        self._values["u"] = u.at(t)
+        return _flat(self.equations.switches(*self._arguments(t, x, held)))
+
+    def _runge_kutta(self, u: _Input, t: float, h: float, x: Array, held: Flags) -> Array:
+        def rate(t: float, x: Array) -> Array:
+            self._values["u"] = u.at(t)
+            return _flat(self.equations.derivatives(*self._arguments(t, x, held)))
+
+        k1 = rate(t, x)
+        k2 = rate(t + h / 2, x + h / 2 * k1)
+        k3 = rate(t + h / 2, x + h / 2 * k2)
+        k4 = rate(t + h, x + h * k3)
+        return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+
+
+@dataclass(frozen=True)
+class _Input:
+    """Inputs over a communication step: value and slope at its begin."""
+
+    start: Array
+    slope: Array
+    begin: float
+
+    def at(self, t: float) -> Array:
+        return self.start + self.slope * (t - self.begin)
+
+
+def _crossed(switches: Array, held: Flags, before: Array) -> Flags:
+    """Switches whose sign is not the one held; what stays at zero, or returns to it, is let be."""
+    return np.asarray(((switches > 0.0) != held) & (before != 0.0))
 
 
 def simulate(

@@ -6,6 +6,7 @@ import difflib
 import hashlib
 import importlib
 import inspect
+import json
 import pkgutil
 import types
 import typing
@@ -17,6 +18,7 @@ from typing import Any
 from platformdirs import user_cache_path
 
 from fmus_src.component import Component
+from fmus_src.compose import INTERNAL_STEP, Connection, compose
 from fmus_src.export.build import build_all, build_fmu
 from fmus_src.hydro.database import PACKAGED
 
@@ -93,6 +95,33 @@ def build_variant(name: str, options: Mapping[str, Any]) -> Path:
     folder = _cache() / f"{name}-{key[:16]}"
     path = folder / f"{name}.fmu"
     return path if path.exists() else build_fmu(make(name, options), folder)
+
+
+def build_system(
+    name: str, parts: Mapping[str, str], connections: Sequence[Connection], internal_step: float = INTERNAL_STEP
+) -> Path:
+    """Build components as one FMU into the user's cache; what is there for these sources is kept.
+
+    Args:
+        parts: folder of the component by its name in the system.
+        connections, internal_step: see `compose`.
+
+    Returns:
+        the FMU `name.fmu` in a folder of its own.
+
+    Raises:
+        ValueError: no such component, or what `compose` objects to.
+    """
+    folder = _cache() / f"{name}-{_digest(parts, list(connections), internal_step)[:16]}"
+    path = folder / f"{name}.fmu"
+    if path.exists():
+        return path
+    components = {part: make(component) for part, component in parts.items()}
+    return build_fmu(compose(name, components, connections, internal_step=internal_step), folder)
+
+
+def _digest(*values: Any) -> str:
+    return hashlib.sha256(json.dumps(values).encode()).hexdigest()
 
 
 def option_names(name: str) -> list[str]:

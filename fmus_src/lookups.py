@@ -1,4 +1,4 @@
-"""Operations that do not fit generated expressions: tables, wind boxes, implicit equations, intermediate results.
+"""Operations beyond generated expressions: tables, wind boxes, implicit equations, intermediate results, switches.
 
 Each has a twin in the C runtime (`export/runtime/lookup_*.c`); here is the in-process one.
 """
@@ -65,6 +65,28 @@ class StoredLookup:
 
     def evaluate(self, arguments: Array, memory: LookupMemory) -> Array:
         return arguments
+
+    def dependencies(self) -> npt.NDArray[np.bool_]:
+        return np.eye(self.size, dtype=bool)
+
+
+@dataclass(frozen=True)
+class SwitchLookup:
+    """1 for each argument above 0, else 0; the integrator holds the results between the crossings that it locates."""
+
+    name: str
+    size: int
+
+    @property
+    def argument_size(self) -> int:
+        return self.size
+
+    @property
+    def result_size(self) -> int:
+        return self.size
+
+    def evaluate(self, arguments: Array, memory: LookupMemory) -> Array:
+        return (arguments > 0.0).astype(float)
 
     def dependencies(self) -> npt.NDArray[np.bool_]:
         return np.eye(self.size, dtype=bool)

@@ -68,7 +68,7 @@ def aero_fmu(built: Callable[[Component], Path], tmp_path_factory: pytest.TempPa
 
 
 def every_feature() -> Component:
-    """A component that uses each feature of the runtime: kinds, sampled states, table, implicit equation, text."""
+    """A component that uses each feature of the runtime: kinds, sampled states, table, implicit equation, switch."""
     c = Component("every_feature", "Test component with every feature", sample_time=0.1, internal_step=0.05)
     rate = c.parameter("rate", 2.0, unit="1/s", min=0.0, max=100.0, description="decay rate", tunable=True)
     n = c.parameter("n", 3, kind="integer", min=1, max=9, description="an integer")
@@ -85,7 +85,8 @@ def every_feature() -> Component:
     y, a = ca.SX.sym("y"), ca.SX.sym("a")
     cube = ca.Function("cube", [y, a], [y**3 + y - a])
     root = c.solve("cubic", cube, ca.Function("guess", [a], [a / (1 + a**2)]), ca.vertcat(u[0], u[1] + x[0]))
-    c.derivative(x, -rate * x + ca.if_else(on, u, 0))
+    beyond = c.switch("beyond", ca.vertcat(x[0] - 2.5, u[1] - 0.2))
+    c.derivative(x, -rate * x + ca.if_else(on, u, 0) - ca.vertcat(ca.dot(beyond, 3 * u), 0))
     c.update(z, z + 1)
     c.update(before, u)
     c.output("rotated", ca.mtimes(matrix, x), unit="m", description="matrix times x")

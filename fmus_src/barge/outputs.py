@@ -19,8 +19,8 @@ def declare_outputs(c: Component, turbine: Turbine, p: Parameters, loads: Loads,
     height = turbine.tower.base_height + turbine.tower.length
     nacelle_damper = motion.nacelle.axes @ (p.nacelle_damper_position - ca.vertcat(0, 0, height))
     _platform(c, state, motion)
-    _attachment(c, "nacelle_damper", "nacelle", motion.nacelle, nacelle_damper)
-    _attachment(c, "platform_damper", "platform", motion.platform, p.platform_damper_position)
+    _attachment(c, "nacelle_damper", "nacelle", state, motion, motion.nacelle, nacelle_damper)
+    _attachment(c, "platform_damper", "platform", state, motion, motion.platform, p.platform_damper_position)
     _hub(c, state, motion)
     _spin(c, p, state)
     _tower(c, turbine, p, state, motion)
@@ -44,9 +44,19 @@ def _platform(c: Component, state: State, motion: Motion) -> None:
     )  # fmt: skip
 
 
-def _attachment(c: Component, port: str, words: str, body: RigidMotion, arm: Any) -> None:
+def _relative_velocity(motion: Motion, body: RigidMotion, arm: Any) -> Any:
+    """Velocity of a body's point at `arm` relative to the platform reference point, platform axes, m/s.
+
+    The platform turns the position of the body's reference point, the body (tower and yaw included) the arm.
+    """
+    return body.velocity + ca.cross(motion.platform.omega, body.r) + ca.cross(body.omega, arm)
+
+
+def _attachment(c: Component, port: str, words: str, state: State, motion: Motion, body: RigidMotion, arm: Any) -> None:
     to_body = body.axes.T
+    velocity = motion.attitude.R.T @ state.velocity + _relative_velocity(motion, body, arm)
     for name, value, unit, text in (
+        ("velocity", velocity, "m/s", "velocity of the attachment"),
         ("specific_force", body.at(arm), "m/s2", "acceleration less gravity of the attachment"),
         ("angular_velocity", body.omega, "rad/s", f"angular velocity of the {words}"),
         ("angular_acceleration", body.alpha, "rad/s2", f"angular acceleration of the {words}"),
@@ -57,17 +67,15 @@ def _attachment(c: Component, port: str, words: str, body: RigidMotion, arm: Any
 
 def _hub(c: Component, state: State, motion: Motion) -> None:
     R, nacelle, arm = motion.attitude.R, motion.nacelle, motion.apex
-    r = nacelle.r + arm
-    # The platform turns the tower top's position, the nacelle (tower and yaw included) the arm to the apex.
-    velocity = nacelle.velocity + ca.cross(motion.platform.omega, nacelle.r) + ca.cross(nacelle.omega, arm)
-    c.output("hub.position", state.position + R @ r, unit="m", description="rotor apex, global")
+    c.output("hub.position", state.position + R @ (nacelle.r + arm), unit="m", description="rotor apex, global")
     c.output(
         "hub.orientation", ca.vec((R @ motion.shaft).T),
         description="shaft frame (x along the shaft downwind, y left, z up), v_global = R v_shaft, row by row",
     )  # fmt: skip
     c.output(
-        "hub.velocity", state.velocity + R @ velocity, unit="m/s", description="velocity of the rotor apex, global"
-    )
+        "hub.velocity", state.velocity + R @ _relative_velocity(motion, nacelle, arm), unit="m/s",
+        description="velocity of the rotor apex, global",
+    )  # fmt: skip
     c.output(
         "hub.angular_velocity", R @ nacelle.omega, unit="rad/s",
         description="angular velocity of the nacelle (without the rotor's spin), global",

@@ -56,7 +56,7 @@ def model_description(equations: Equations, guid: str, sources: tuple[str, ...])
         "canNotUseMemoryManagementFunctions": "false",
         "canGetAndSetFMUstate": "true",
         "canSerializeFMUstate": "true",
-        "providesDirectionalDerivative": "true",
+        "providesDirectionalDerivative": "true" if component.directional_derivatives else "false",
     })  # fmt: skip
     files = ET.SubElement(cosimulation, "SourceFiles")
     for name in sources:
@@ -97,11 +97,11 @@ def _base_unit(u: Unit) -> dict[str, str]:
 
 def _variables(parent: ET.Element, equations: Equations) -> None:
     reference = 0
-    tunable = _tunable_references(equations)
+    tunable, discrete = _tunable_references(equations), _discrete_references(equations)
     for v in equations.variables:
         for name, start in zip(v.element_names(), v.start, strict=True):
             if not v.internal:
-                _scalar(parent, v, name, reference, start, reference in tunable)
+                _scalar(parent, v, name, reference, start, reference in tunable, reference in discrete)
             reference += 1
     for i, v in enumerate(equations.strings):
         attributes = _attributes(v, v.name, i) | {"variability": "fixed", "initial": "exact"}
@@ -115,6 +115,18 @@ def _tunable_references(equations: Equations) -> set[int]:
     return set(np.flatnonzero(np.concatenate([tunable, follows])).tolist())
 
 
+def _discrete_references(equations: Equations) -> set[int]:
+    """References of what changes at sample instants only: sampled states, and the outputs that follow them alone.
+
+    An output of parameters only is among them: FMI has no better word for an output that never changes.
+    """
+    sizes = equations.sizes
+    first_output = sizes["p"] + sizes["k"] + sizes["u"]
+    outputs = np.flatnonzero(equations.discrete_outputs()) + first_output
+    first_sampled = first_output + sizes["y"] + sizes["x"]
+    return {*outputs.tolist(), *range(first_sampled, first_sampled + sizes["z"])}
+
+
 def _attributes(v: Variable, name: str, reference: int) -> dict[str, str]:
     return {
         "name": name,
@@ -124,7 +136,9 @@ def _attributes(v: Variable, name: str, reference: int) -> dict[str, str]:
     }
 
 
-def _scalar(parent: ET.Element, v: Variable, name: str, reference: int, start: float, tunable: bool) -> None:
+def _scalar(
+    parent: ET.Element, v: Variable, name: str, reference: int, start: float, tunable: bool, discrete: bool
+) -> None:
     attributes = _attributes(v, name, reference)
     if v.causality == "parameter":
         attributes |= {"variability": "tunable" if tunable else "fixed", "initial": "exact"}
@@ -133,7 +147,6 @@ def _scalar(parent: ET.Element, v: Variable, name: str, reference: int, start: f
     elif v.causality == "input":
         attributes["variability"] = "continuous"
     else:
-        discrete = v.causality == "sampled_state"
         attributes |= {"variability": "discrete" if discrete else "continuous", "initial": "calculated"}
     element = ET.SubElement(parent, "ScalarVariable", attributes)
     has_start = v.causality in ("parameter", "input")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path
@@ -10,15 +11,22 @@ import casadi as ca
 import numpy as np
 
 from fmus_src.equations import Equations
-from fmus_src.lookups import FieldLookup, ImplicitLookup, StoredLookup, TableLookup
+from fmus_src.lookups import FieldLookup, ImplicitLookup, StoredLookup, SwitchLookup, TableLookup
 from fmus_src.variable import Variable
 
 RUNTIME = Path(__file__).parent / "runtime"
-RUNTIME_SOURCES = ("fmi2.c", "lookup_table.c", "lookup_field.c", "lookup_implicit.c")
+RUNTIME_SOURCES = (
+    "fmi2.c", "instance.c", "variables.c", "fmu_state.c", "directional.c",
+    "lookup_table.c", "lookup_field.c", "lookup_implicit.c",
+)  # fmt: skip
+# Part of model.c, so that the compiler knows the sizes and can merge the integrator with the equations.
+RUNTIME_INCLUDED = ("runtime.h", "instance.h", "evaluation.c", "integration.c")
 COMPILED = ("model.c", *RUNTIME_SOURCES)
 FMI_HEADERS = ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h")
 MAX_FUNCTION_ARGUMENTS = 256  # MAX_ARGUMENTS of the runtime
 MAX_IMPLICIT = 8
+_PURPOSES = {"derivatives": "FOR_RATES", "outputs": "FOR_OUTPUTS", "update": "FOR_UPDATE", "switches": "FOR_SIGNS"}
+_NONE = "{0, 0}"
 
 
 def source_files(equations: Equations, guid: str) -> dict[str, str]:
@@ -27,7 +35,7 @@ def source_files(equations: Equations, guid: str) -> dict[str, str]:
     Raises:
         ValueError: an equation exceeds a fixed size of the runtime.
     """
-    files = {name: (RUNTIME / name).read_text() for name in ("runtime.h", *RUNTIME_SOURCES)}
+    files = {name: (RUNTIME / name).read_text() for name in (*RUNTIME_INCLUDED, *RUNTIME_SOURCES)}
     files |= {name: (fmi_headers() / name).read_text() for name in FMI_HEADERS}
     files["equations.c"] = equations_source(equations)
     files["model.c"] = model_source(equations, guid)
@@ -56,13 +64,22 @@ def equations_source(equations: Equations) -> str:
         generator.add(function)
     with tempfile.TemporaryDirectory() as folder:
         generator.generate(folder + "/")
-        return (Path(folder) / "equations.c").read_text()
+        code = (Path(folder) / "equations.c").read_text()
+    return _without_checks(code) if equations.component.sym is ca.SX else code
+
+
+def _without_checks(code: str) -> str:
+    """CasADi's scalar code without its tests for missing arguments and results: the runtime gives all of them."""
+    code = re.sub(r"(arg\[\d+\])\? (\1\[\d+\]) : 0;", r"\2;", code)
+    return re.sub(r"if \(res\[\d+\]!=0\) ", "", code)
 
 
 def model_source(equations: Equations, guid: str) -> str:
     """`model.c`: the variables, lookups and functions as the runtime's tables."""
     component, sizes = equations.component, equations.sizes
-    lookups = [_lookup(i, lookup) for i, lookup in enumerate(equations.lookups)]
+    uses = [" | ".join(_PURPOSES[name] for name in names) or "0" for names in equations.lookup_uses()]
+    given = component.directional_derivatives
+    lookups = [_lookup(i, lookup, uses[i], given) for i, lookup in enumerate(equations.lookups)]
     longest = max((lookup.argument_size for lookup in equations.lookups), default=0)
     rows = ",\n".join(_variable(v) for v in equations.variables)
     strings = equations.strings
@@ -70,7 +87,9 @@ def model_source(equations: Equations, guid: str) -> str:
         sum(v.size for v in equations.variables), len(strings), len(lookups),
         *(sizes[key] for key in "xzupkwy"), longest,
     ]  # fmt: skip
-    functions = ("calculate", "initial", "derivatives", "outputs", "update", "forward")
+    functions = [_equation(name) for name in ("calculate", "initial", "derivatives", "outputs", "update", "switches")]
+    functions.append(_equation("forward") if given else _NONE)
+    places = equations.switch_positions().tolist()
     return f"""/* Generated from the component's Python definition. */
 #include <math.h>
 
@@ -88,17 +107,23 @@ static const char *const string_starts[] = {{{_texts(v.text for v in strings)}}}
 
 {"".join(declaration for declaration, _ in lookups)}
 static const lookup lookups[] = {{
-{",".join(entry for _, entry in lookups) or "    {TABLE, 0, 0, {0}, {0}, 0}"}
+{",".join(entry for _, entry in lookups) or "    {TABLE, 0, 0, 0, {0}, {0}, 0}"}
 }};
+
+static const int switches_at[] = {{{", ".join(map(str, places)) or "0"}}};
 
 const model_description model = {{
     {_text(component.name)}, {_text(guid)},
     {", ".join(str(n) for n in counts)},
     {component.internal_step!r}, {component.sample_time or 0.0!r},
-    {int(component.sample_at_start)}, {int(equations.outputs_look_up())},
+    {int(component.sample_at_start)},
+    {len(places)}, switches_at,
     variables, string_names, string_starts, lookups,
-    {", ".join(_equation(name) for name in functions)}
+    {", ".join(functions)}
 }};
+
+#include "evaluation.c"
+#include "integration.c"
 """
 
 
@@ -137,11 +162,14 @@ def _variable(v: Variable) -> str:
     )
 
 
-def _lookup(i: int, lookup: object) -> tuple[str, str]:
+def _lookup(i: int, lookup: object, uses: str, directional: bool) -> tuple[str, str]:
     """Declarations of a lookup's data, and its entry in the table."""
+    forward = _equation(f"lookup{i}_forward") if directional else _NONE
     data = f"&lookup{i}_data"
     if isinstance(lookup, StoredLookup):
         kind, declaration, data = "STORED", "", "0"
+    elif isinstance(lookup, SwitchLookup):
+        kind, declaration, data = "SWITCH", "", "0"
     elif isinstance(lookup, TableLookup):
         values = _wrapped(number(x) for x in np.ravel(lookup.data))
         which = _wrapped(str(n) for n in lookup.which)
@@ -164,8 +192,8 @@ def _lookup(i: int, lookup: object) -> tuple[str, str]:
     else:
         raise TypeError(f"no C runtime for {lookup!r}")
     entry = (
-        f"    {{{kind}, {lookup.argument_size}, {lookup.result_size}, {_equation(f'lookup{i}')}, "
-        f"{_equation(f'lookup{i}_forward')}, {data}}}"
+        f"    {{{kind}, {uses}, {lookup.argument_size}, {lookup.result_size}, {_equation(f'lookup{i}')}, "
+        f"{forward}, {data}}}"
     )
     return declaration, entry
 

@@ -48,7 +48,8 @@ def declare_unit(c: Component, prefix: str, *, mass: float, stiffness: float, da
     x = c.state(f"{n}displacement", unit="m", start=x_0, description="displacement relative to the attachment")
     v = c.state(f"{n}velocity", unit="m/s", description="velocity relative to the attachment")
 
-    stop = stop_force(x, v, limit, k_stop, c_stop)
+    contact = c.switch(f"{n.replace('.', '_')}contact", stop_switches(x, v, limit))
+    stop = stop_force(x, v, limit, k_stop, c_stop, contact)
     axial = -k * x - d * v + stop
     c.derivative(x, v)
     # eq. 7, x component: the centripetal term acts as a negative spring; Coriolis and Euler terms are transverse.
@@ -65,9 +66,17 @@ def declare_unit(c: Component, prefix: str, *, mass: float, stiffness: float, da
     c.output(f"{n}stop_force", stop, unit="N", nominal=1e4, description="force of the end stop on the damper")
 
 
-def stop_force(x: Any, v: Any, stroke: Any, k_stop: Any, c_stop: Any) -> Any:
-    """End-stop force on the damper, eq. 6: a spring beyond the stroke, and damping while moving further out."""
-    over = ca.fmax(x - stroke, 0)
-    under = ca.fmin(x + stroke, 0)
-    damping = ca.if_else(ca.logic_or(ca.logic_and(over > 0, v > 0), ca.logic_and(under < 0, v < 0)), v, 0)
-    return -k_stop * (over + under) - c_stop * damping
+def stop_switches(x: Any, v: Any, stroke: Any) -> Any:
+    """Functions that are positive beyond either stop, and beyond it while moving further out, shape (4,)."""
+    over, under = x - stroke, -x - stroke
+    return ca.vertcat(over, ca.fmin(over, v), under, ca.fmin(under, -v))
+
+
+def stop_force(x: Any, v: Any, stroke: Any, k_stop: Any, c_stop: Any, contact: Any) -> Any:
+    """End-stop force on the damper, eq. 6: a spring beyond the stroke, and damping while moving further out.
+
+    Args:
+        contact: where `stop_switches` is positive.
+    """
+    beyond = contact[0] * (x - stroke) + contact[2] * (x + stroke)
+    return -k_stop * beyond - c_stop * (contact[1] + contact[3]) * v

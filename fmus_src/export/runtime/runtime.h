@@ -33,8 +33,9 @@ typedef struct {
     double start, min, max;
 } variable;
 
-/* Lookups: operations on arguments -> results that are not plain expressions; STORED keeps the arguments as they are. */
-typedef enum { TABLE, FIELD, IMPLICIT, STORED } lookup_kind;
+/* Lookups: operations on arguments -> results that are not plain expressions; STORED keeps the arguments as they are,
+ * SWITCH whether they are above 0. */
+typedef enum { TABLE, FIELD, IMPLICIT, STORED, SWITCH } lookup_kind;
 
 typedef struct {
     const double *data; /* [tables][points][columns] */
@@ -54,8 +55,11 @@ typedef struct {
     int unknowns, row, count;
 } implicit_data;
 
+enum { FOR_RATES = 1, FOR_OUTPUTS = 2, FOR_UPDATE = 4, FOR_SIGNS = 8 }; /* what lookups are evaluated for */
+
 typedef struct {
     lookup_kind kind;
+    int uses; /* what needs it, of the above */
     int arguments, results;
     equation argument;         /* (t, x, z, u, p, k, w) -> arguments */
     equation argument_forward; /* the same, along a direction */
@@ -67,11 +71,12 @@ typedef struct {
     int n_variables, n_strings, n_lookups;
     int n_x, n_z, n_u, n_p, n_k, n_w, n_y, n_arguments; /* n_arguments: longest lookup argument */
     double internal_step, sample_time;                  /* sample_time 0: no sampled states */
-    int sample_at_start, outputs_look_up;               /* whether outputs depend on lookups */
+    int sample_at_start, n_switches;
+    const int *switches_at;                             /* their places in w */
     const variable *variables;                          /* order: p, k, u, y, x, z */
     const char *const *string_names, *const *string_starts;
     const lookup *lookups;
-    equation calculate, initial, derivatives, outputs, update, forward;
+    equation calculate, initial, derivatives, outputs, update, switches, forward;
 } model_description;
 
 extern const model_description model;
