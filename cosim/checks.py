@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from cosim.errors import CosimError, nearest
 from cosim.fmu import Fmu, FmuVariable, Value, read_fmu
-from cosim.system import ComponentInstance, Connection, StartValue, System
+from cosim.system import ComponentInstance, Connection, Port, StartValue, System
 from fmus_src.units import Unit, conversion
 
 SOURCES = ("output", "calculatedParameter", "parameter")
@@ -28,6 +29,15 @@ class Link:
 
 
 @dataclass(frozen=True)
+class CheckedPort:
+    """A checked mechanical port: index of the component, its pairs of effort (input), flow (output) and position."""
+
+    name: str
+    component: int
+    pairs: tuple[tuple[FmuVariable, FmuVariable, str], ...]
+
+
+@dataclass(frozen=True)
 class CheckedSystem:
     """A system that can run.
 
@@ -43,10 +53,14 @@ class CheckedSystem:
     links: tuple[Link, ...]
     start: tuple[Mapping[str, Value], ...]
     warnings: tuple[str, ...]
+    ports: tuple[CheckedPort, ...] = ()
 
 
-def check(system: System) -> CheckedSystem:
+def check(system: System, isolated: Collection[str] = ()) -> CheckedSystem:
     """Check a system against its FMUs.
+
+    Args:
+        isolated: names of the components that run in their own processes.
 
     Raises:
         CosimError: the first thing found wrong, in one line.
@@ -56,9 +70,11 @@ def check(system: System) -> CheckedSystem:
     fmus = tuple(read_fmu(c.fmu) for c in system.components)
     names = tuple(c.name for c in system.components)
     for fmu in fmus:
-        users = [n for n, f in zip(names, fmus, strict=True) if f.path == fmu.path]
+        users = [n for n, f in zip(names, fmus, strict=True) if f.path == fmu.path and n not in isolated]
         if fmu.once_per_process and len(users) > 1:
-            raise CosimError(f"{fmu.path.name} can be instantiated only once, but {' and '.join(users)} use it")
+            raise CosimError(
+                f"{fmu.path.name} can be instantiated only once, but {' and '.join(users)} use it; isolate all but one"
+            )
     links = tuple(_link(c, names, fmus) for c in system.connections)
     fed: dict[tuple[int, str], Connection] = {}
     for connection, link in zip(system.connections, links, strict=True):
@@ -78,7 +94,8 @@ def check(system: System) -> CheckedSystem:
         if loose:
             values = ", ".join(f"{v.name} = {start[k].get(v.name, v.start)}" for v in loose)
             warnings.append(f"{name}: not connected, start value used: {values}")
-    return CheckedSystem(system.name, names, fmus, links, start, tuple(warnings))
+    ports = tuple(_port(p, names, fmus) for p in system.ports)
+    return CheckedSystem(system.name, names, fmus, links, start, tuple(warnings), ports)
 
 
 def _link(connection: Connection, names: tuple[str, ...], fmus: tuple[Fmu, ...]) -> Link:
@@ -110,6 +127,35 @@ def _link(connection: Connection, names: tuple[str, ...], fmus: tuple[Fmu, ...])
     return Link(
         source, output, target, taken, connection.factor * factor, connection.factor * offset + connection.offset
     )
+
+
+def _port(port: Port, names: tuple[str, ...], fmus: tuple[Fmu, ...]) -> CheckedPort:
+    """A port whose pairs exist and make powers; pairs that a swapped FMU lacks are left out."""
+    if port.component not in names:
+        raise CosimError(f"port '{port.name}': no component '{port.component}'{nearest(port.component, names)}")
+    k = names.index(port.component)
+    pairs = []
+    for effort, flow, position in port.pairs:
+        if effort not in fmus[k].variables or flow not in fmus[k].variables:
+            continue
+        force, velocity = fmus[k].variables[effort], fmus[k].variables[flow]
+        if (force.causality, velocity.causality) != ("input", "output"):
+            raise CosimError(f"port '{port.name}': {effort} must be an input of {port.component}, {flow} an output")
+        units = [u.name if u else "no unit" for u in (force.unit, velocity.unit)]
+        if not _makes_watt(force.unit, velocity.unit):
+            raise CosimError(f"port '{port.name}': {effort} ({units[0]}) times {flow} ({units[1]}) is no power in W")
+        pairs.append((force, velocity, position))
+    return CheckedPort(port.name, k, tuple(pairs))
+
+
+def _makes_watt(effort: Unit | None, flow: Unit | None) -> bool:
+    """Whether the product of two units is the watt, radians being numbers."""
+    if effort is None or flow is None:
+        return False
+    total = Counter(dict(effort.exponents))
+    total.update(dict(flow.exponents))
+    base = {b: e for b, e in total.items() if e and b != "rad"}
+    return base == {"kg": 1, "m": 2, "s": -3} and math.isclose(effort.factor * flow.factor, 1.0)
 
 
 def _unitless(links: tuple[Link, ...], names: tuple[str, ...]) -> list[str]:

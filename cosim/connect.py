@@ -9,6 +9,7 @@ name of any other component; and `attachment.quantity` of component A takes the 
 from __future__ import annotations
 
 import argparse
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,10 +18,12 @@ from lxml import etree
 
 from cosim.errors import CosimError
 from cosim.fmu import FmuVariable, read_fmu
-from cosim.system import ComponentInstance, Connection, System
+from cosim.ssp import PORTS
+from cosim.system import ComponentInstance, Connection, Port, System
 from fmus_src.units import Unit
 
 _SSD = "http://ssp-standard.org/SSP1/SystemStructureDescription"
+FLOWS = {"force": ("velocity", "position"), "moment": ("angular_velocity", "")}
 _SSC = "http://ssp-standard.org/SSP1/SystemStructureCommon"
 
 
@@ -51,7 +54,7 @@ def connect(fmus: Mapping[str, Path], ports: Mapping[str, str] | None = None) ->
                 raise CosimError(f"{name}.{variable}: could take {listed}; connect it by hand in the .ssd")
             connections += [Connection(source, output, name, variable) for source, output in sources]
     components = tuple(ComponentInstance(name, path) for name, path in fmus.items())
-    return System("system", components, tuple(connections))
+    return System("system", components, tuple(connections), ports=_find_ports(fmus, connections))
 
 
 def write_ssd(system: System, path: Path) -> Path:
@@ -68,22 +71,61 @@ def write_ssd(system: System, path: Path) -> Path:
         item = etree.SubElement(
             elements, f"{{{_SSD}}}Component", name=component.name, source=f"resources/{component.fmu.name}"
         )
-        connectors = etree.SubElement(item, f"{{{_SSD}}}Connectors")
-        for variable, kind in _connectors(system, component):
+        used = _connectors(system, component)
+        connectors = etree.SubElement(item, f"{{{_SSD}}}Connectors") if used else None  # the schema wants one at least
+        for variable, kind in used:
             connector = etree.SubElement(connectors, f"{{{_SSD}}}Connector", name=variable.name, kind=kind)
             typed = etree.SubElement(connector, f"{{{_SSC}}}{variable.type}")
             if variable.unit is not None:
                 typed.set("unit", variable.unit.name)
                 units[variable.unit.name] = variable.unit
-    connections = etree.SubElement(element, f"{{{_SSD}}}Connections")
+    connections = etree.SubElement(element, f"{{{_SSD}}}Connections") if system.connections else None
     for c in system.connections:
         etree.SubElement(connections, f"{{{_SSD}}}Connection", startElement=c.source, startConnector=c.output,
                          endElement=c.target, endConnector=c.input)  # fmt: skip
+    _write_ports(element, system.ports)
     _write_units(root, units)
     etree.SubElement(root, f"{{{_SSD}}}DefaultExperiment", startTime="0.0")
     etree.indent(root)
     path.write_bytes(etree.tostring(root, xml_declaration=True, encoding="UTF-8") + b"\n")
     return path
+
+
+def _find_ports(fmus: Mapping[str, Path], connections: Sequence[Connection]) -> tuple[Port, ...]:
+    """Mechanical ports: forces and moments that a component takes, each with the velocity that it has there.
+
+    That of `P.force` is its output `P.velocity`; failing that, `Q.velocity`, where the component that gives the force
+    takes `Q.position` or another quantity of Q.
+    """
+    ports = []
+    for name, path in fmus.items():
+        outputs, pairs = set(_of(path, "output")), defaultdict[str, list[tuple[str, str, str]]](list)
+        for c in connections:
+            prefix, dot, quantity = c.input.rpartition(".")
+            flow, position = FLOWS.get(quantity.partition("[")[0], ("", ""))
+            if c.target != name or not flow or not dot:
+                continue
+            index = quantity[quantity.find("[") :] if "[" in quantity else ""
+            taken = [k.output.rpartition(".")[0] for k in connections if (k.source, k.target) == (name, c.source)]
+            places = dict.fromkeys([prefix, *taken])
+            place = next((p for p in places if f"{p}.{flow}{index}" in outputs), None)
+            if place is not None and read_fmu(fmus[c.source]).variables[c.output].variability != "discrete":
+                moved = f"{place}.{position}{index}"
+                pairs[prefix].append((c.input, f"{place}.{flow}{index}", moved if moved in outputs else ""))
+        ports += [Port(prefix, name, tuple(found)) for prefix, found in pairs.items()]
+    return tuple(ports)
+
+
+def _write_ports(parent: Any, ports: Sequence[Port]) -> None:
+    if not ports:
+        return
+    annotations = etree.SubElement(parent, f"{{{_SSD}}}Annotations")
+    annotation = etree.SubElement(annotations, f"{{{_SSC}}}Annotation", type=PORTS)
+    listed = etree.SubElement(annotation, "Ports")  # an annotation holds one element
+    for port in ports:
+        element = etree.SubElement(listed, "Port", name=port.name, component=port.component)
+        for effort, flow, position in port.pairs:
+            etree.SubElement(element, "Pair", effort=effort, flow=flow, **({"position": position} if position else {}))
 
 
 def _of(path: Path, causality: str) -> list[str]:

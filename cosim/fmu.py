@@ -50,6 +50,8 @@ class Fmu:
     Attributes:
         feedthrough: output -> inputs on which it depends directly (all inputs, where the FMU does not say).
         interpolates: the FMU takes slopes of its inputs (canInterpolateInputs).
+        keeps_state: its state can be saved and restored (canGetAndSetFMUstate).
+        differentiates: it gives directional derivatives (providesDirectionalDerivative).
     """
 
     path: Path
@@ -61,6 +63,8 @@ class Fmu:
     variables: Mapping[str, FmuVariable]
     feedthrough: Mapping[str, tuple[str, ...]]
     interpolates: bool
+    keeps_state: bool
+    differentiates: bool
     once_per_process: bool
 
     def variable(self, component: str, name: str) -> FmuVariable:
@@ -124,6 +128,8 @@ def _read(path: Path, modified: int, size: int) -> Fmu:
         variables=variables,
         feedthrough=feedthrough,
         interpolates=bool(md.coSimulation.canInterpolateInputs),
+        keeps_state=bool(md.coSimulation.canGetAndSetFMUstate),
+        differentiates=bool(md.coSimulation.providesDirectionalDerivative),
         once_per_process=bool(md.coSimulation.canBeInstantiatedOnlyOncePerProcess),
     )
 
@@ -160,11 +166,15 @@ def _variable(v: Any, units: Mapping[str, Unit]) -> FmuVariable:
 class Instance:
     """An instantiated FMU. Every failure raises `RunFailed` with the FMU's own message."""
 
-    def __init__(self, name: str, fmu: Fmu, folder: Path, start: float) -> None:
-        """Load the binary from the unpacked FMU in `folder`, instantiate, and set up the experiment."""
+    def __init__(self, name: str, fmu: Fmu, folder: Path, start: float, log: kernel.Log | None = None) -> None:
+        """Load the binary from the unpacked FMU in `folder`, instantiate, and set up the experiment.
+
+        Args:
+            log: where to keep the FMU's messages; here by default.
+        """
         self.name = name
         self.fmu = fmu
-        self.log = kernel.Log()
+        self.log = log or kernel.Log()
         self._callbacks = (c_void_p * 5)()  # fmi2CallbackFunctions
         kernel.library().fill_callbacks(self._callbacks, ctypes.byref(self.log))
         self._instance = c_void_p()
@@ -213,8 +223,10 @@ class Instance:
     def member(self) -> dict[str, int | None]:
         """Addresses that the kernel calls: of the instance, and of the FMI functions by the kernel's names."""
         addresses: dict[str, int | None] = {"instance": self._instance.value}
+        states = dict.fromkeys(("get_state", "set_state", "free_state"), self.fmu.keeps_state)
+        offered = {"set_slopes": self.fmu.interpolates, "directional": self.fmu.differentiates, **states}
         for short, function in kernel.FUNCTIONS.items():
-            if short == "set_slopes" and not self.fmu.interpolates:
+            if not offered.get(short, True):
                 addresses[short] = None
                 continue
             try:
@@ -222,6 +234,13 @@ class Instance:
             except AttributeError as error:
                 raise RunFailed(f"{self.name}: {self.fmu.path.name} lacks the function {function}") from error
         return addresses
+
+    def failure(self, call: str, status: int, time: float) -> str:
+        """The line that a run ends with when `call` returned a failing status in the step from `time`, s."""
+        return (
+            f"{self.name}: {call} returned {kernel.status_name(status)}"
+            f" at t = {time:.6g} s{self.message() or '; the FMU gave no reason'}"
+        )
 
     def abandon(self) -> None:
         """After fmi2Fatal, FMI allows no further call, not even to free the instance."""

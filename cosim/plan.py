@@ -1,176 +1,125 @@
-"""The step plan: a checked system compiled into the flat arrays of the kernel, and its execution."""
+"""The stepping of a laid-out system with FMU instances: the kernel's plan, its execution and its failures."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from cosim import kernel
-from cosim.checks import CheckedSystem
-from cosim.errors import RunFailed
-from cosim.fmu import FmuVariable, Instance
-from cosim.recording import SelectedChannel
+from cosim.errors import CosimError, RunFailed
+from cosim.fmu import Instance
+from cosim.layout import ITERATED, Algorithm, Extrapolation, Layout
 
-Algorithm = Literal["gauss-seidel", "jacobi"]
-Extrapolation = Literal["linear", "held"]
-TYPES = ("Real", "Integer", "Boolean")
-HELD, HELD_NEXT, EXTRAPOLATED, INTERPOLATED = range(4)
+ORDERS = {"held": 0, "linear": 1, "quadratic": 2}
+SINGLE_PASS, FIXED_POINT, NEWTON = range(3)
 # |value| beyond this times its nominal is an explosion: no quantity of a wind turbine in SI units comes near.
 EXPLOSION = 1e15
 ROWS = 2048
 
 
 @dataclass(frozen=True)
-class Layout:
-    """Flat arrays of the kernel; members are in stepping order, values and inputs of a member are contiguous.
+class Stepping:
+    """How a layout is stepped.
 
     Attributes:
-        order: component index of each member.
-        reads: (component index, variable) of each value; likewise `inputs`.
-        counts: per member, values and inputs by type, shape (members, 2, 3).
-        source, mode, factor, offset: of each input.
-        channel, channel_factor, channel_offset: value index and conversion of each channel.
+        start, step: s. decimation: steps per recorded row.
+        tolerance: relative, of algebraic loops and iterations; None: 1e-6, and 1e-10 where steps are iterated.
+        energy_tolerance: share of a port's power above which a step is halved; 0: never.
     """
 
-    order: tuple[int, ...]
-    reads: tuple[tuple[int, FmuVariable], ...]
-    inputs: tuple[tuple[int, FmuVariable], ...]
-    counts: npt.NDArray[np.int32]
-    source: npt.NDArray[np.int32]
-    mode: npt.NDArray[np.int32]
-    factor: npt.NDArray[np.float64]
-    offset: npt.NDArray[np.float64]
-    channel: npt.NDArray[np.int32]
-    channel_factor: npt.NDArray[np.float64]
-    channel_offset: npt.NDArray[np.float64]
-
-    def scales(self) -> npt.NDArray[np.float64]:
-        """Magnitude of each value, for tolerances and limits: its nominal, 1 if none."""
-        return np.array([max(1.0, abs(v.nominal or 1.0)) for _, v in self.reads])
-
-
-def lay_out(
-    system: CheckedSystem,
-    order: Sequence[int],
-    channels: Sequence[SelectedChannel],
-    algorithm: Algorithm,
-    extrapolation: Extrapolation,
-) -> Layout:
-    """Compile a system into arrays."""
-    wanted = {(k.source, k.output.name): k.output for k in system.links}
-    wanted |= {(c.component, c.variable.name): c.variable for c in channels}
-    place = {component: position for position, component in enumerate(order)}
-
-    def by_member(item: tuple[int, FmuVariable]) -> tuple[int, int]:
-        return place[item[0]], _type(item[1])
-
-    reads = sorted(((c, v) for (c, _), v in wanted.items()), key=by_member)
-    number = {(c, v.name): i for i, (c, v) in enumerate(reads)}
-    links = sorted(system.links, key=lambda k: by_member((k.target, k.input)))
-    inputs = [(k.target, k.input) for k in links]
-    counts = np.zeros((len(order), 2, 3), dtype=np.int32)
-    for which, items in enumerate((reads, inputs)):
-        for component, variable in items:
-            counts[place[component], which, _type(variable)] += 1
-
-    def mode(source: int, target: int, kind: str) -> int:
-        advanced = algorithm == "gauss-seidel" and place[source] < place[target]
-        if extrapolation == "held" or kind != "Real":
-            return HELD_NEXT if advanced else HELD
-        return INTERPOLATED if advanced else EXTRAPOLATED
-
-    return Layout(
-        order=tuple(order),
-        reads=tuple(reads),
-        inputs=tuple(inputs),
-        counts=counts,
-        source=np.array([number[k.source, k.output.name] for k in links], dtype=np.int32),
-        mode=np.array([mode(k.source, k.target, k.output.type) for k in links], dtype=np.int32),
-        factor=np.array([k.factor for k in links], dtype=float),
-        offset=np.array([k.offset for k in links], dtype=float),
-        channel=np.array([number[c.component, c.variable.name] for c in channels], dtype=np.int32),
-        channel_factor=np.array([c.factor for c in channels], dtype=float),
-        channel_offset=np.array([c.offset for c in channels], dtype=float),
-    )
+    start: float
+    step: float
+    decimation: int
+    algorithm: Algorithm
+    extrapolation: Extrapolation
+    tolerance: float | None = None
+    energy_tolerance: float = 0.0
 
 
 class Stepper:
     """Runs a layout with FMU instances in the kernel; time is start + steps * step, never accumulated."""
 
-    def __init__(
-        self, layout: Layout, instances: Sequence[Instance], start: float, step: float, decimation: int
-    ) -> None:
+    def __init__(self, layout: Layout, instances: Sequence[Instance], how: Stepping) -> None:
         self.layout = layout
         self.instances = instances
         self._library = kernel.library()
         self._begun = False
-        n_values, n_inputs = len(layout.reads), len(layout.inputs)
-        longest = max(n_values, n_inputs, 1)
-        self.now = np.zeros(n_values)
-        self.before = np.zeros(n_values)
-        self.rows = np.zeros((ROWS, 1 + len(layout.channel)))
-        self._arrays: dict[str, npt.NDArray[Any]] = {
-            "before": self.before,
-            "now": self.now,
-            "next": np.zeros(n_values),
-            "read_reference": np.array([v.reference for _, v in layout.reads], dtype=np.uint32),
-            "limit": EXPLOSION * layout.scales(),
-            "input_reference": np.array([v.reference for _, v in layout.inputs], dtype=np.uint32),
-            "value": np.zeros(n_inputs),
-            "slope": np.zeros(n_inputs),
-            "integers": np.zeros(longest, dtype=np.int32),
-            "orders": np.ones(longest, dtype=np.int32),
-            "rows": self.rows,
-        }
-        for name in ("source", "mode", "factor", "offset", "channel", "channel_factor", "channel_offset"):
-            self._arrays[name] = getattr(layout, name)
-        self._members = (kernel.MemberStruct * len(layout.order))()
+        self._arrays = _arrays(layout)
+        self.now, self.rows = self._arrays["now"], self._arrays["rows"]
+        self._members = (kernel.MemberStruct * len(layout.members))()
+        self._pairs = (kernel.PairStruct * max(1, len(layout.pairs)))(*(kernel.PairStruct(*p) for p in layout.pairs))
+        self._ports = (kernel.PortStruct * max(1, len(layout.ports)))()
+        iterated = how.algorithm in ITERATED
+        tolerance = how.tolerance or (1e-10 if iterated else 1e-6)
         self.plan = kernel.PlanStruct(
-            members=self._members, n_members=len(layout.order), n_values=n_values, n_channels=len(layout.channel),
-            start=start, step=step, decimation=decimation,
-            **{name: array.ctypes.data for name, array in self._arrays.items()},
+            members=self._members, n_members=len(layout.members), n_values=len(layout.reads),
+            n_inputs=len(layout.inputs), n_late=len(layout.late), n_tear=len(layout.tear),
+            pairs=self._pairs, n_pairs=len(layout.pairs), ports=self._ports, n_ports=len(layout.ports),
+            n_channels=len(layout.channel), start=how.start, step=how.step, decimation=how.decimation,
+            order=ORDERS[how.extrapolation], tolerance=tolerance, energy_tolerance=how.energy_tolerance,
+            scheme={"iterated": FIXED_POINT, "newton": NEWTON}.get(how.algorithm, SINGLE_PASS), time=how.start,
+            slow=any(m.every > 1 for m in layout.members),
+            **{name: array.ctypes.data for name, array in self._arrays.items() if hasattr(kernel.PlanStruct, name)},
         )  # fmt: skip
-        first = np.zeros(2, dtype=int)
-        for member, component, counts in zip(self._members, layout.order, layout.counts, strict=True):
-            for field, address in instances[component].member().items():
+        self._fill_members(saving=iterated or how.energy_tolerance > 0.0)
+        self._read_anew(everything=True)
+
+    def _fill_members(self, saving: bool) -> None:
+        first_read = first_input = 0
+        for member, m in zip(self._members, self.layout.members, strict=True):
+            instance = self.instances[m.component]
+            for field, address in instance.member().items():
                 setattr(member, field, address)
-            member.first_read, member.first_input = (int(f) for f in first)
-            member.reads[:], member.inputs[:] = counts[0].tolist(), counts[1].tolist()
-            first += counts.sum(axis=1)
+            if saving and member.get_state is None:
+                raise CosimError(
+                    f"{instance.name}: {instance.fmu.path.name} cannot save its state (canGetAndSetFMUstate), which"
+                    " iterated and halved steps need; use algorithm gauss-seidel"
+                )
+            member.first_read, member.first_input = first_read, first_input
+            member.reads[:], member.inputs[:] = m.reads, m.inputs
+            for name in ("derived", "varying", "iterated", "every", "substeps"):
+                setattr(member, name, getattr(m, name))
+            first_read += sum(m.reads)
+            first_input += sum(m.inputs)
+
+    def _read_anew(self, everything: bool) -> None:
+        """Choose what an exchange reads anew: all components (initialisation), or those that a step leaves stale."""
+        which = "every_backward" if everything else "backward"
+        self.plan.n_backward = len(getattr(self.layout, which))
+        self.plan.backward = self._arrays[which].ctypes.data
+        self.plan.backward_tear = self._arrays[f"{which}_tear"].ctypes.data
+        for member, m in zip(self._members, self.layout.members, strict=True):
+            member.stale = everything or m.stale
 
     @property
     def time(self) -> float:
         """Time reached, s."""
         return float(self.plan.start + self.plan.steps_done * self.plan.step)
 
-    def initialise(self, passes: int = 100, tolerance: float = 1e-9) -> tuple[int, str]:
-        """Propagate the connected values, in initialisation mode, until they no longer change.
+    def initialise(self) -> int:
+        """Propagate the connected values, in initialisation mode, and solve algebraic loops.
 
         Returns:
-            passes needed, and a warning naming the worst values if they were not enough ("" else).
+            sweeps over the components that this took.
+
+        Raises:
+            RunFailed: an FMU failed, or a loop has no solution that is found.
         """
         self._check(self._library.read_all(self.plan, 0))
-        scale = self.layout.scales()
-        for done in range(1, passes + 1):
-            old = self.now.copy()
-            self._check(self._library.propagate(self.plan))
-            with np.errstate(invalid="ignore"):
-                error = np.abs(self.now - old) / np.maximum(scale, np.abs(self.now))
-            if not np.any(error > tolerance):
-                return done, ""
-        worst = [i for i in np.argsort(-error)[:3] if error[i] > tolerance]
-        names = ", ".join(f"{self._name(int(i))} (relative change {error[i]:.1e})" for i in worst)
-        return passes, f"initial values not settled after {passes} passes: {names}; give better start values"
+        self._check(self._library.settle(self.plan))
+        return int(self.plan.sweeps)
 
     def begin(self) -> None:
-        """Read the initialised state, as the first row and the values before the first step."""
-        self._check(self._library.propagate(self.plan))
+        """Read the initialised state as the first row, and linearise algebraic loops."""
+        self._check(self._library.settle(self.plan))
         self._check(self._library.read_all(self.plan, 1))
-        self.before[:] = self.now
+        self._check(self._library.linearise(self.plan))
+        self._read_anew(everything=False)
+        self.plan.sweeps = 0
         self._begun = True
         self._library.record(self.plan)
 
@@ -178,7 +127,7 @@ class Stepper:
         """Take steps, at most `capacity()`.
 
         Raises:
-            RunFailed: an FMU failed, or a value is not finite.
+            RunFailed: an FMU failed, a value is not finite, or an iteration does not converge.
         """
         self._check(self._library.run_steps(self.plan, steps))
 
@@ -197,34 +146,89 @@ class Stepper:
         done = self.plan.steps_done
         timed = (done + kernel.TIMED_EVERY - 1) // kernel.TIMED_EVERY
         share = done / timed if timed else 0.0
-        return {
-            self.instances[c].name: m.seconds * share for c, m in zip(self.layout.order, self._members, strict=True)
-        }
+        members = zip(self.layout.members, self._members, strict=True)
+        return {self.instances[m.component].name: member.seconds * share for m, member in members}
+
+    def ports(self) -> dict[str, dict[str, float]]:
+        """Energies of each mechanical port, J: what crossed it, and the coupling's residual."""
+        ports = zip(self.layout.ports, self._ports, strict=False)  # the array has one element at least
+        return {name: {"crossed": port.crossed, "residual": port.residual} for name, port in ports}
+
+    def work(self) -> dict[str, int]:
+        """How often steps were attempted, halved and iterated, and outputs read anew."""
+        return {name: int(getattr(self.plan, name)) for name in ("attempts", "rejected", "iterations", "sweeps")}
+
+    def close(self) -> None:
+        """Give saved states back, before the instances are freed."""
+        self._library.release_states(self.plan)
 
     def _name(self, value: int) -> str:
         component, variable = self.layout.reads[value]
+        return f"{self.instances[component].name}.{variable.name}"
+
+    def _input_name(self, number: int) -> str:
+        component, variable = self.layout.inputs[number]
         return f"{self.instances[component].name}.{variable.name}"
 
     def _check(self, fine: int) -> None:
         if fine:
             return
         plan = self.plan
-        instance = self.instances[self.layout.order[plan.failed_member]]
+        instance = self.instances[self.layout.members[plan.failed_member].component]
+        end = self.time + (plan.step if self._begun else 0.0)  # what a step gave is of its end
         if plan.cause == kernel.NOT_FINITE:
             unit = self.layout.reads[plan.failed_value][1].unit
-            time = self.time + (plan.step if self._begun else 0.0)  # a value that a step gave is that of its end
             raise RunFailed(
                 f"{self._name(plan.failed_value)} = {plan.failed_number:g}{f' {unit.name}' if unit else ''}"
-                f" at t = {time:.6g} s: the component has become unstable{instance.message()};"
+                f" at t = {end:.6g} s: the component has become unstable{instance.message()};"
                 " reduce the step or check its parameters and inputs"
             )
+        if plan.cause in (kernel.NOT_CONVERGED, kernel.LOOP_OPEN):
+            raise RunFailed(self._unsolved(plan, end))
+        failure = instance.failure(kernel.CAUSES[plan.cause], plan.status, self.time)
         if plan.status == kernel.FATAL:
             instance.abandon()
-        raise RunFailed(
-            f"{instance.name}: {kernel.CAUSES[plan.cause]} returned {kernel.status_name(plan.status)}"
-            f" at t = {self.time:.6g} s{instance.message() or '; the FMU gave no reason'}"
-        )
+        raise RunFailed(failure)
+
+    def _unsolved(self, plan: Any, time: float) -> str:
+        worst = self._input_name(plan.failed_value)
+        if plan.cause == kernel.NOT_CONVERGED:
+            return f"the iterated step to t = {time:.6g} s does not converge at {worst}; reduce the step or use newton"
+        looped = [path for path in self.layout.loops if worst in path.split(" -> ")] or list(self.layout.loops)
+        path = f" (algebraic loop {looped[0]})" if looped else ""
+        return f"{worst} does not settle at t = {time:.6g} s{path}; give better start values, or break the loop"
 
 
-def _type(variable: FmuVariable) -> int:
-    return TYPES.index("Integer" if variable.type == "Enumeration" else variable.type)
+def _arrays(layout: Layout) -> dict[str, npt.NDArray[Any]]:
+    """The kernel's arrays by name: what the layout gives, and work space."""
+    n_values, n_inputs, n_tear = len(layout.reads), len(layout.inputs), len(layout.tear)
+    n_back = max(len(layout.every_backward), len(layout.late))
+    longest = max(n_values, n_inputs, 2 * n_back, 1)
+    place = {int(i): j for j, i in enumerate(layout.tear)}
+    arrays: dict[str, npt.NDArray[Any]] = {
+        "read_reference": np.array([v.reference for _, v in layout.reads], dtype=np.uint32),
+        "input_reference": np.array([v.reference for _, v in layout.inputs], dtype=np.uint32),
+        "limit": EXPLOSION * layout.scales(),
+        "scale": layout.scales(),
+        "rows": np.zeros((ROWS, 1 + len(layout.channel))),
+        "integers": np.zeros(longest, dtype=np.int32),
+        "first_order": np.ones(longest, dtype=np.int32),
+        "second_order": np.full(longest, 2, dtype=np.int32),
+        "derivatives": np.zeros(longest),
+        "jacobian": np.zeros((n_tear, n_tear)),
+        "matrix": np.zeros((n_tear, n_tear)),
+        "correction": np.zeros(2 * n_tear),
+        "seed": np.zeros(longest),
+        "response": np.zeros(n_values),
+        "last_bend": np.zeros(len(layout.pairs)),
+    }
+    arrays |= {name: np.zeros(n_values) for name in ("now", "next", "mid", "rate", "slope", "bend")}
+    arrays |= {name: np.zeros(n_inputs) for name in ("value", "input_slope", "input_bend", "begun")}
+    arrays |= {name: np.zeros(n_back) for name in ("mid_used", "end_used", "mid_before", "end_before")}
+    for name in ("owner", "target", "source", "mode", "factor", "offset", "tear", "late", "backward", "every_backward"):
+        arrays[name] = getattr(layout, name)
+    for name in ("late", "backward", "every_backward"):
+        arrays[f"{name}_tear"] = np.array([place.get(int(i), -1) for i in arrays[name]], dtype=np.int32)
+    for name in ("channel", "channel_factor", "channel_offset"):
+        arrays[name] = getattr(layout, name)
+    return arrays

@@ -13,16 +13,18 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import fmpy
 import pandas as pd
 
 from cosim.checks import CheckedSystem, check
-from cosim.errors import CosimError, RunFailed
+from cosim.errors import CosimError, RunFailed, nearest
 from cosim.fmu import Instance
-from cosim.graph import algebraic_loops, step_order
-from cosim.plan import Algorithm, Extrapolation, Stepper, lay_out
+from cosim.graph import step_order
+from cosim.isolation import CALL_TIMEOUT, IsolatedInstance, isolated_names
+from cosim.layout import ITERATED, Algorithm, Extrapolation, Layout, lay_out
+from cosim.plan import Stepper, Stepping
 from cosim.recording import (
     Channel,
     Recorder,
@@ -37,6 +39,8 @@ from cosim.system import System
 
 BLOCK_WALL = 0.2  # s between looks at progress and Ctrl-C
 BLOCK_SIMULATED = 2.0  # s
+ENERGY_TOLERANCE = 1e-3
+RESIDUAL_SHARE = 1e-3  # of the energy that crossed a port: above it the coupling's own energy is worth a warning
 Progress = Callable[[float], None]
 
 
@@ -46,12 +50,21 @@ class RunSettings:
 
     Attributes:
         stop, start: s. step: communication step, s; stop - start is a multiple of it.
-        algorithm: "gauss-seidel" (each component sees what those before it have reached) or "jacobi".
-        extrapolation: inputs "linear" over the step, or "held". Held inputs damp negatively: a force held over the
-            step costs a mode omega * step / 4 of its damping ratio (Gauss-Seidel), three times that with Jacobi.
+        algorithm: "gauss-seidel" (each component sees what those before it have reached), "jacobi" (none does),
+            "iterated" (steps are repeated to convergence, with Aitken's relaxation), "newton" (the same, with the
+            Jacobian of direct feed-through).
+        extrapolation: inputs "linear" or "quadratic" over the step, or "held" as classic masters do. Held inputs damp
+            negatively: a force held over the step costs a mode omega * step / 4 of its damping ratio (Gauss-Seidel),
+            three times that with Jacobi.
+        tolerance: relative, of algebraic loops and iterations; None for the algorithm's own.
+        energy_tolerance: error of a mechanical port's power, as a share of it, above which a step is repeated in halves
+            (as when a damper hits its end stop); 0: never. None: 1e-3 if every FMU can go back, else 0.
+        rates: step of a component in communication steps, such as {"mooring": 2} or {"nacelle_damper": 0.5}.
         order: components to advance first.
         channels, record: what to record, see `select_channels`; every `decimation`-th step.
         transient: time left out of the statistics, s.
+        isolate: components to run in processes of their own, or "all": one that crashes then ends only its run.
+        call_timeout: wall time that a call of an isolated component may take, s.
         about: what the caller wants run.json to say of the run, such as case, damper and seed.
     """
 
@@ -60,11 +73,16 @@ class RunSettings:
     step: float = 0.0125
     algorithm: Algorithm = "gauss-seidel"
     extrapolation: Extrapolation = "linear"
+    tolerance: float | None = None
+    energy_tolerance: float | None = None
+    rates: Mapping[str, float] = field(default_factory=dict)
     order: tuple[str, ...] = ()
     channels: tuple[Channel, ...] = ()
     record: tuple[str, ...] = ()
     decimation: int = 1
     transient: float = 0.0
+    isolate: tuple[str, ...] = ()
+    call_timeout: float = CALL_TIMEOUT
     about: Mapping[str, str | int] = field(default_factory=dict)
 
     def steps(self) -> int:
@@ -77,17 +95,22 @@ class RunSettings:
             raise CosimError(f"stop {self.stop:g} s must be finite and after start {self.start:g} s")
         if not (math.isfinite(self.step) and self.step > 0.0):
             raise CosimError(f"step {self.step:g} s must be positive")
+        if not (math.isfinite(self.call_timeout) and self.call_timeout > 0.0):
+            raise CosimError(f"call timeout {self.call_timeout:g} s must be positive")
         if self.decimation < 1:
             raise CosimError(f"decimation {self.decimation} must be 1 or more")
         if not 0.0 <= self.transient < self.stop - self.start:
             raise CosimError(
                 f"transient {self.transient:g} s leaves nothing of {self.stop - self.start:g} s; shorten it"
             )
-        if self.algorithm not in ("gauss-seidel", "jacobi") or self.extrapolation not in ("linear", "held"):
-            raise CosimError(
-                f"algorithm '{self.algorithm}' with extrapolation '{self.extrapolation}':"
-                " choose gauss-seidel or jacobi, linear or held"
-            )
+        for name, kinds in (("algorithm", Algorithm), ("extrapolation", Extrapolation)):
+            value = getattr(self, name)
+            if value not in get_args(kinds):
+                raise CosimError(f"no {name} '{value}'{nearest(value, get_args(kinds))}")
+        if self.tolerance is not None and not 0.0 < self.tolerance < 1.0:
+            raise CosimError(f"tolerance {self.tolerance:g} must be between 0 and 1")
+        if self.energy_tolerance is not None and not 0.0 <= self.energy_tolerance < 1.0:
+            raise CosimError(f"energy_tolerance {self.energy_tolerance:g} must be between 0 (never halve a step) and 1")
         exact = (self.stop - self.start) / self.step
         steps = round(exact)
         if steps < 1 or abs(exact - steps) > 1e-6:
@@ -104,6 +127,7 @@ class RunResult:
         time: reached, s. wall_time: of the whole run, s.
         last: last recorded values by channel. summary: statistics after the transient.
         component_seconds: wall time of each component.
+        ports: of each mechanical port, the energy that crossed it and the coupling's residual, J.
     """
 
     folder: Path
@@ -113,6 +137,7 @@ class RunResult:
     steps: int
     wall_time: float
     component_seconds: dict[str, float] = field(repr=False)
+    ports: dict[str, dict[str, float]] = field(repr=False)
     warnings: tuple[str, ...] = field(repr=False)
     summary: dict[str, dict[str, Any]] = field(repr=False)
     last: dict[str, float] = field(repr=False)
@@ -134,11 +159,12 @@ def simulate(system: System, settings: RunSettings, folder: Path, progress: Prog
         RunFailed: the run broke off; what was computed until then is in the folder.
     """
     steps = settings.steps()
-    checked = check(system)
+    checked = check(system, isolated_names([c.name for c in system.components], settings.isolate))
     channels, missing = select_channels(checked, settings.channels, settings.record)
-    loops = [f"algebraic loop, its values extrapolated over each step: {path}" for path in algebraic_loops(checked)]
     order = step_order(checked, settings.order)
-    run = _Run(settings, checked, channels, order, [*checked.warnings, *missing, *loops], new_folder(folder))
+    layout = lay_out(checked, order, channels, settings.algorithm, settings.extrapolation, settings.rates)
+    warnings = [*checked.warnings, *missing, *_held_loops(settings, layout)]
+    run = _Run(settings, checked, channels, layout, warnings, new_folder(folder))
     try:
         return run.execute(steps, progress)
     except BaseException as error:
@@ -152,6 +178,12 @@ def simulate(system: System, settings: RunSettings, folder: Path, progress: Prog
             remedy = "; free disk space or choose another" if full else ""
             raise RunFailed(f"{folder}: writing failed: {error.strerror or error}{remedy}") from error
         raise
+
+
+def _held_loops(settings: RunSettings, layout: Layout) -> list[str]:
+    if settings.extrapolation != "held" or settings.algorithm in ITERATED:
+        return []
+    return [f"algebraic loop, its values held over each step: {path}" for path in layout.loops]
 
 
 @contextmanager
@@ -182,11 +214,11 @@ class _Run:
         settings: RunSettings,
         checked: CheckedSystem,
         channels: Sequence[SelectedChannel],
-        order: tuple[int, ...],
+        layout: Layout,
         warnings: list[str],
         folder: Path,
     ) -> None:
-        self.settings, self.checked, self.channels, self.order = settings, checked, channels, order
+        self.settings, self.checked, self.channels, self.layout = settings, checked, channels, layout
         self.warnings, self.folder = warnings, folder
         self.began = time.perf_counter()
         self.started_at = datetime.now(UTC).isoformat(timespec="seconds")
@@ -204,35 +236,54 @@ class _Run:
             with ExitStack() as always:
                 always.callback(recorder.close)
                 instances = self._instantiate(unpacked, stack)
-                layout = lay_out(self.checked, self.order, self.channels, s.algorithm, s.extrapolation)
-                self.stepper = stepper = Stepper(layout, instances, s.start, s.step, s.decimation)
+                self.stepper = stepper = Stepper(self.layout, instances, self._stepping())
+                stack.callback(stepper.close)
                 self._initialise(stepper, instances)
                 with _interrupt_flag() as interrupted:
                     always.callback(lambda: recorder.add(stepper.take_rows()))  # before the recorder closes
                     self._loop(stepper, recorder, steps, progress, interrupted)
             status: Literal["completed", "stopped"] = "completed" if stepper.plan.steps_done == steps else "stopped"
+            stepper.close()
             for instance in instances:
                 instance.free(terminate=True)
         message = "" if status == "completed" else (
             f"stopped by the user at t = {stepper.time:.6g} s of {s.stop:g} s; results until then are in {self.folder}"
         )  # fmt: skip
         self._keep_messages(instances)
+        self._judge_ports(stepper)
         summary = recorder.summary()
         write_json(self.folder / "summary.json", summary)
         self.write(status, message)
         last = dict(zip((c.name for c in self.channels), recorder.last[1:].tolist(), strict=True))
         return RunResult(
             self.folder, status, message, stepper.time, int(stepper.plan.steps_done),
-            time.perf_counter() - self.began, stepper.seconds(), tuple(self.warnings), summary, last,
+            time.perf_counter() - self.began, stepper.seconds(), stepper.ports(), tuple(self.warnings), summary, last,
         )  # fmt: skip
 
+    def _stepping(self) -> Stepping:
+        s = self.settings
+        if s.energy_tolerance and not self.layout.pairs:
+            raise CosimError(
+                f"energy_tolerance: system '{self.checked.name}' has no mechanical port to judge steps by; annotate"
+                " ports in the .ssd"
+            )
+        usable = self.layout.pairs and all(f.keeps_state for f in self.checked.fmus) and s.extrapolation != "held"
+        usable = usable and all(m.every == 1 for m in self.layout.members)
+        chosen = (ENERGY_TOLERANCE if usable else 0.0) if s.energy_tolerance is None else s.energy_tolerance
+        return Stepping(s.start, s.step, s.decimation, s.algorithm, s.extrapolation, s.tolerance, chosen)
+
     def _instantiate(self, unpacked: Path, stack: ExitStack) -> list[Instance]:
+        s = self.settings
         folders: dict[Path, Path] = {}
-        instances = []
+        instances: list[Instance] = []
+        isolated = isolated_names(self.checked.names, s.isolate)
         for name, fmu in zip(self.checked.names, self.checked.fmus, strict=True):
             if fmu.path not in folders:
                 folders[fmu.path] = Path(fmpy.extract(str(fmu.path), str(unpacked / str(len(folders)))))
-            instances.append(Instance(name, fmu, folders[fmu.path], self.settings.start))
+            if name in isolated:
+                instances.append(IsolatedInstance(name, fmu, folders[fmu.path], s.start, s.call_timeout))
+            else:
+                instances.append(Instance(name, fmu, folders[fmu.path], s.start))
             stack.callback(instances[-1].free, False)
         return instances
 
@@ -240,9 +291,7 @@ class _Run:
         for instance, start in zip(instances, self.checked.start, strict=True):
             instance.set(start)
             instance.enter_initialisation()
-        self.passes, warning = stepper.initialise()
-        if warning:
-            self.warnings.append(warning)
+        self.passes = stepper.initialise()
         for instance in instances:
             instance.exit_initialisation()
         stepper.begin()
@@ -271,6 +320,15 @@ class _Run:
             texts = dict.fromkeys(text for _, text in instance.log.lines())
             self.warnings += [f"{instance.name}: {text}" for text in texts]
 
+    def _judge_ports(self, stepper: Stepper) -> None:
+        for name, port in stepper.ports().items():
+            share = abs(port["residual"]) / port["crossed"] if port["crossed"] > 0.0 else 0.0
+            if share > RESIDUAL_SHARE:
+                self.warnings.append(
+                    f"port {name}: the coupling added {port['residual']:.3g} J, {100.0 * share:.2g} % of the energy"
+                    " that crossed it; reduce the step, or use linear extrapolation or an iterated algorithm"
+                )
+
     def write(self, status: str, message: str) -> None:
         """Write run.json: everything needed to know what this run was, and to repeat it."""
         components = {
@@ -290,8 +348,10 @@ class _Run:
             "time_reached": self.stepper.time if self.stepper else self.settings.start,
             "steps_done": int(self.stepper.plan.steps_done) if self.stepper else 0,
             "component_seconds": self.stepper.seconds() if self.stepper else {},
+            "ports": self.stepper.ports() if self.stepper else {},
+            "stepping": self.stepper.work() if self.stepper else {},
             "initialisation_passes": self.passes,
-            "settings": settings | {"order": [self.checked.names[k] for k in self.order]},
+            "settings": settings | {"order": [self.checked.names[m.component] for m in self.layout.members]},
             "components": components,
             "connections": [
                 f"{self.checked.names[k.source]}.{k.output.name} -> {self.checked.names[k.target]}.{k.input.name}"

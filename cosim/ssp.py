@@ -16,9 +16,11 @@ from lxml import etree
 
 from cosim.errors import CosimError
 from cosim.fmu import Value
-from cosim.system import ComponentInstance, Connection, StartValue, System, with_parameters
+from cosim.system import ComponentInstance, Connection, Port, StartValue, System, with_parameters
 from fmus_src.units import Unit
 from fmus_src.units import unit as named_unit
+
+PORTS = "org.fowt-cosim.ports"  # type of the SSD annotation that lists mechanical ports
 
 
 def read_system(ssd: Path, fmu_folders: Sequence[Path] = ()) -> System:
@@ -54,7 +56,8 @@ def read_system(ssd: Path, fmu_folders: Sequence[Path] = ()) -> System:
             notes.append(f"{ssd.name}: the connection of {loose} to the system's own connector is not used")
             continue
         connections.append(_connection(element, ssd))
-    result = System(system.get("name") or ssd.stem, components, tuple(connections), tuple(notes))
+    name = system.get("name") or ssd.stem
+    result = System(name, components, tuple(connections), tuple(notes), ports=_ports(system, ssd))
     # a set bound to the system takes precedence over those bound to its components
     for values in _bindings(system, ssd):
         result = with_parameters(result, values)
@@ -98,6 +101,18 @@ def _connection(element: Any, ssd: Path) -> Connection:
             raise CosimError(f"{ssd}: {source}.{output}: {_tag(child)} is not supported; only LinearTransformation is")
     convert = element.get("suppressUnitConversion", "false") not in ("true", "1")
     return Connection(source, output, target, input_, factor, offset, convert)
+
+
+def _ports(system: Any, ssd: Path) -> tuple[Port, ...]:
+    """Mechanical ports from the system's annotation of the type PORTS; FMI 2.0 has no terminals, SSP 1.0 no bonds."""
+    ports = []
+    for element in system.iterfind(f"{{*}}Annotations/{{*}}Annotation[@type='{PORTS}']/{{*}}Ports/{{*}}Port"):
+        pairs = tuple((p.get("effort"), p.get("flow"), p.get("position", "")) for p in _children(element))
+        port = Port(element.get("name") or "", element.get("component") or "", pairs)
+        if not (port.name and port.component and all(effort and flow for effort, flow, _ in pairs)):
+            raise CosimError(f"{ssd}: a Port needs name, component and Pairs with effort and flow")
+        ports.append(port)
+    return tuple(ports)
 
 
 def _bindings(element: Any, ssd: Path) -> Iterator[dict[str, StartValue]]:

@@ -48,8 +48,23 @@ class Connection:
 
 
 @dataclass(frozen=True)
+class Port:
+    """A mechanical port of a component: forces and moments that it takes, velocities that it has there.
+
+    Attributes:
+        pairs: (input, output, position) of the component, such as ("hydro.force[1]", "platform.velocity[1]",
+            "platform.position[1]"): the product of the first two is the power that comes in; the third, or "", is the
+            output of which the second is the rate.
+    """
+
+    name: str
+    component: str
+    pairs: tuple[tuple[str, str, str], ...]
+
+
+@dataclass(frozen=True)
 class System:
-    """Components in order, their connections, and notes for the run's log (what was read but not used).
+    """Components in order, their connections and ports, and notes for the run's log (what was read but not used).
 
     `open_inputs` are (component, input) whose source was left out on purpose: no warning is due for them.
     """
@@ -59,6 +74,7 @@ class System:
     connections: tuple[Connection, ...] = ()
     notes: tuple[str, ...] = ()
     open_inputs: frozenset[tuple[str, str]] = frozenset()
+    ports: tuple[Port, ...] = ()
 
     def component(self, name: str) -> ComponentInstance:
         """A component by name.
@@ -87,6 +103,7 @@ def without(system: System, *names: str) -> System:
         components=tuple(c for c in system.components if c.name not in names),
         connections=tuple(c for c in system.connections if c.source not in names and c.target not in names),
         open_inputs=system.open_inputs | {(c.target, c.input) for c in system.connections if c.source in names},
+        ports=tuple(p for p in system.ports if p.component not in names),
     )
 
 

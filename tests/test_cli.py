@@ -110,8 +110,10 @@ MTMD = ("run", "lc4", "--damper", "mtmd", *SHORT)
         ((*MTMD, "--set", "aero.wind_file=nowhere.bts"), "wind file 'nowhere.bts': cannot be opened"),
         ((*MTMD, "--set", "aero.wind_file={corrupt}"), "is shorter than a .bts header"),
         ((*MTMD, "--out", "{corrupt}/below"), "Not a directory"),
+        (("run", "decay10", "--rate", "hydro=x"), "'x' is no number; write it as COMPONENT=2 or COMPONENT=1/2"),
+        (("run", "decay10", "--algorithm", "newto"), "no algorithm 'newto'; did you mean 'newton'"),
         (("run", "lc4", "--until", "-1"), "stop -1 s must be finite and after start 0 s"),
-        (("run", "lc4", "--until", "60", "--step", "5"), "the step is larger than the case's 0.0125 s"),
+        (("run", "lc4", "--until", "60", "--step", "5", "--energy-tolerance", "0"), "the step is larger than the case's 0.0125 s"),
         (("run", "{bad_case}"), "unknown key 'dampr'; did you mean 'damper'?"),
         (("build", "tdm"), "no component 'tdm'; did you mean 'tmd'?"),
         (("optimise", "mtdm"), "did you mean 'mtmd'?"),
@@ -190,3 +192,18 @@ def test_names_of_parameters_need_no_quotes(tmp_path: Path) -> None:
     head = 'description = "x"\nsystem = "s.ssd"\nchannels = "c.toml"\ndampers = "d.toml"\n[run]\nstop = 1.0\n'
     path = _text_file(tmp_path, "case.toml", head + '[parameters]\nhydro.Hs = 4.0\n"aero.wind_file" = "x.bts"\n')
     assert read_case(str(path)).parameters == {"hydro.Hs": 4.0, "aero.wind_file": "x.bts"}
+
+
+def test_converge_shows_errors_and_orders(fowt: Callable[..., Outcome], tmp_path: Path) -> None:
+    """Against the same system as one ODE: the 10 deg decay, whose dampers are not at their stops yet."""
+    words = ("converge", "decay10", "--damper", "mtmd", "--until", "4", "--step", "0.05", "--halvings", "1")
+    outcome = fowt(*words, "--out", "study", "--format", "json")
+    assert outcome.code == 0, outcome.err
+    found = json.loads(outcome.out)
+    errors = {(r["scheme"], r["step"]): r["error"] for r in found["table"]}
+    assert errors["gauss-seidel, linear", 0.025] < 0.3 * errors["gauss-seidel, linear", 0.05]
+    assert errors["gauss-seidel, linear", 0.05] < 0.5 * errors["gauss-seidel, held", 0.05]
+    assert errors["newton, halved", 0.05] < 1e-5
+    assert found["orders"]["gauss-seidel, linear"] > 1.8
+    assert (tmp_path / "study" / "convergence.png").stat().st_size > 10_000
+    assert (tmp_path / "study" / "convergence.csv").read_text().startswith("scheme,step,error,order,PtfmPitch")

@@ -37,20 +37,20 @@ def pair(fmu: Path, connections: tuple[tuple[str, str], ...] = (), **values: Val
     return System("pair", tuple(ComponentInstance(k, fmu, start[k]) for k in "ab"), links)
 
 
-@pytest.mark.parametrize(("algorithm", "per_step"), [("gauss-seidel", 2), ("jacobi", 1)])
-def test_integers_pass_exactly(probe_fmu: Path, tmp_path: Path, algorithm: Any, per_step: int) -> None:
-    """Each counts one beyond the other: Gauss-Seidel adds two per step, Jacobi one."""
+@pytest.mark.parametrize("algorithm", ["gauss-seidel", "jacobi"])
+def test_integers_pass_exactly(probe_fmu: Path, tmp_path: Path, algorithm: Any) -> None:
+    """Each counts one beyond what the other had before the step: discrete values are held over a step."""
     system = pair(probe_fmu, (("a.number", "b.count"), ("b.number", "a.count")))
     settings = RunSettings(stop=1.0, step=0.1, algorithm=algorithm, record=("b.number",))
     numbers = simulate(system, settings, tmp_path / "run").frame()["b.number"]
-    assert numbers.tolist() == [per_step * n for n in range(11)]
+    assert numbers.tolist() == list(range(11))
 
 
 def test_booleans_pass(probe_fmu: Path, tmp_path: Path) -> None:
     system = pair(probe_fmu, (("a.open", "b.gate"),))
     frame = simulate(system, RunSettings(stop=0.3, step=0.1, record=("*.open",)), tmp_path / "run").frame()
     assert frame["a.open"].tolist() == [0, 1, 1, 1]  # not gate, where a's gate stays false
-    assert frame["b.open"].tolist() == [0, 0, 0, 0]
+    assert frame["b.open"].tolist() == [0, 1, 0, 0]  # not what a's was before the step
 
 
 def test_units_are_converted_and_the_first_row_is_the_initialised_state(probe_fmu: Path, tmp_path: Path) -> None:
@@ -78,23 +78,15 @@ def test_linear_transformation_comes_after_the_unit_conversion(probe_fmu: Path, 
     assert last["b.u"] == pytest.approx(2.0 * math.degrees(1.0) + 10.0, rel=1e-14)
 
 
-def test_an_algebraic_loop_is_named_and_settled_at_the_start(probe_fmu: Path, tmp_path: Path) -> None:
+def test_an_algebraic_loop_is_solved(probe_fmu: Path, tmp_path: Path) -> None:
     """u_b = deg(s u_a + 1) both ways: u = deg(1) / (1 - deg(s)), here deg(s) = 1/2, so u = deg(2)."""
     both = (("a.through", "b.u"), ("b.through", "a.u"))
     values = {"slope": math.radians(0.5), "intercept": 1.0}
     system = pair(probe_fmu, both, **{f"{k}_{n}": v for k in "ab" for n, v in values.items()})
     result = simulate(system, RunSettings(stop=0.1, step=0.1, record=ALL), tmp_path / "run")
-    # the fixed-point iteration stops at a relative change of 1e-9
-    assert result.frame().iloc[0]["a.u"] == pytest.approx(math.degrees(2.0), rel=3e-9)
-    assert any("a.through -> b.u -> b.through -> a.u -> a.through" in w for w in result.warnings)
-
-
-def test_initial_values_that_do_not_settle_are_named(probe_fmu: Path, tmp_path: Path) -> None:
-    """Gain -1.05 around the loop: the iteration swings further each time."""
-    both = (("a.through", "b.u"), ("b.through", "a.u"))
-    system = pair(probe_fmu, both, a_slope=math.radians(1.0), b_slope=math.radians(-1.05), a_intercept=1.0)
-    result = simulate(system, RunSettings(stop=0.1, step=0.1, record=ALL), tmp_path / "run")
-    assert any("not settled after 100 passes" in w and "a.through" in w for w in result.warnings)
+    # affine: Newton's method, here by differences of 1e-3, finds it to rounding
+    np.testing.assert_allclose(result.frame()["a.u"], math.degrees(2.0), rtol=1e-10)
+    assert not any("loop" in w for w in result.warnings)
 
 
 def test_an_fmu_that_holds_its_inputs_gets_their_mid_step_value(
@@ -133,9 +125,9 @@ def test_a_value_that_is_not_finite_stops_the_run(probe_fmu: Path, tmp_path: Pat
 
 
 def test_a_value_that_explodes_stops_the_run(probe_fmu: Path, tmp_path: Path) -> None:
-    both = (("a.through", "b.u"), ("b.through", "a.u"))
-    system = pair(probe_fmu, both, a_slope=1.0, b_slope=1.0, a_intercept=1.0)
-    with pytest.raises(RunFailed, match=r"^[ab]\.through = \S+ rad at t = "):
+    both = (("a.integral", "b.u"), ("b.through", "a.u"))  # grows as exp(57 t)
+    system = pair(probe_fmu, both, b_slope=1.0, b_intercept=1.0)
+    with pytest.raises(RunFailed, match=r"^[ab]\.(u|through|integral) = \S+ (deg |rad )?at t = "):
         simulate(system, RunSettings(stop=50.0, step=0.1, record=ALL), tmp_path / "run")
 
 
@@ -237,7 +229,7 @@ def test_a_full_disk_is_one_clear_line_and_keeps_what_was_written(
         (RunSettings(stop=1.0, step=0.3), "not a whole number of steps of 0.3 s; use 0.9 or 1.2"),
         (RunSettings(stop=1.0, decimation=0), "decimation 0 must be 1 or more"),
         (RunSettings(stop=1.0, transient=1.0), "transient 1 s leaves nothing"),
-        (RunSettings(stop=1.0, algorithm="newton"), "choose gauss-seidel or jacobi"),  # type: ignore[arg-type]
+        (RunSettings(stop=1.0, algorithm="newtn"), "no algorithm 'newtn'; did you mean 'newton'"),  # type: ignore[arg-type]
         (RunSettings(stop=1.0, record=ALL, order=("c",)), "order: no component 'c'"),
         (RunSettings(stop=1.0, record=("a.integrl",)), "did you mean 'a.integral'"),
         (RunSettings(stop=1.0), "nothing to record"),

@@ -8,7 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from cosim.case import case_folder
 from cosim.checks import check
+from cosim.connect import write_ssd
 from cosim.errors import CosimError
 from cosim.fmu import read_fmu
 from cosim.graph import algebraic_loops, step_order
@@ -16,6 +18,7 @@ from cosim.ssp import read_parameters, read_system
 from cosim.system import (
     ComponentInstance,
     Connection,
+    Port,
     StartValue,
     System,
     Value,
@@ -24,6 +27,7 @@ from cosim.system import (
     without,
 )
 from fmus_src.component import Component
+from fmus_src.library import build_library
 
 from .cosim_fmus import carried, mass, probe, two_masses
 
@@ -239,7 +243,9 @@ def test_the_structure_goes_first_and_no_loop_is_claimed(fmus: dict[str, Path]) 
 
 def test_a_loop_through_one_component_is_found(fmus: dict[str, Path]) -> None:
     checked = check(wired(fmus, Connection("p", "through", "p", "u")))
-    assert algebraic_loops(checked) in (["p.through -> p.u -> p.through"], ["p.u -> p.through -> p.u"])
+    (loop,) = algebraic_loops(checked)
+    assert loop.path in ("p.through -> p.u -> p.through", "p.u -> p.through -> p.u")
+    assert loop.inputs == {(1, "u")}
 
 
 @pytest.mark.parametrize(
@@ -273,3 +279,40 @@ def _archive(path: Path, attributes: str, kind: str = "") -> None:
     )
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("modelDescription.xml", text)
+
+
+def test_shipped_systems_are_valid_ssp() -> None:
+    """Against the schema of SSP 1.0 that FMPy brings: other tools refuse what is not."""
+    from fmpy import ssp
+    from lxml import etree
+
+    schema = etree.XMLSchema(etree.parse(str(Path(ssp.__file__).parent / "schema" / "SystemStructureDescription.xsd")))
+    files = sorted(case_folder().glob("*.ssd"))
+    assert len(files) >= 3
+    for file in files:
+        schema.assertValid(etree.parse(str(file)))
+
+
+def test_mechanical_ports_are_found_written_and_read(fmus: dict[str, Path], tmp_path: Path) -> None:
+    """The barge's ports: where a force comes in, the velocity there, and the position of which it is the rate."""
+    system = read_system(case_folder() / "barge.ssd", [build_library()[0]])
+    ports = {p.name: p for p in system.ports}
+    assert set(ports) == {"hydro", "mooring", "nacelle_damper", "platform_damper"}
+    assert ("mooring.force[3]", "platform.velocity[3]", "platform.position[3]") in ports["mooring"].pairs
+    assert ("nacelle_damper.moment[2]", "nacelle_damper.angular_velocity[2]", "") in ports["nacelle_damper"].pairs
+    assert read_system(write_ssd(system, tmp_path / "again.ssd"), [build_library()[0]]).ports == system.ports
+    assert without(system, "barge").ports == ()
+
+
+@pytest.mark.parametrize(
+    ("port", "words"),
+    [
+        (Port("p", "q", (("force", "velocity", ""),)), "port 'p': no component 'q'"),
+        (Port("p", "m", (("position", "velocity", ""),)), "position must be an input of m, velocity an output"),
+        (Port("p", "m", (("force", "position", ""),)), r"force \(N\) times position \(m\) is no power in W"),
+    ],
+)
+def test_ports_that_make_no_power_are_refused(fmus: dict[str, Path], port: Port, words: str) -> None:
+    system = System("s", (ComponentInstance("m", fmus["mass"]),), ports=(port,))
+    with pytest.raises(CosimError, match=words):
+        check(system)

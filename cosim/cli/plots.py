@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from cosim.recording import read_results
 
-COLOURS = ("#444444", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00")
+COLOURS = ("#444444", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 HISTORY_SECONDS = 200.0
 # What a reader looks at first; a run shows those of them that it has and that move, or its first channels.
 SHOWN_FIRST = (
@@ -87,3 +87,22 @@ def _cycle(n: int) -> list[str]:
 def _save(figure: Figure, path: Path) -> Path:
     figure.savefig(path, dpi=110)
     return path
+
+
+def plot_convergence(table: pd.DataFrame, title: str, path: Path) -> Path:
+    """Draw error against step, one line per scheme, with the slopes of first and second order."""
+    figure, axes = _panels(1, 1, width=8.0, height=5.5)
+    axis = axes[0, 0]
+    for colour, marker, (label, part) in zip(_cycle(9), "osv^D*X<>", table.groupby("scheme", sort=False), strict=False):
+        axis.loglog(part["step"], part["error"], marker=marker, color=colour, label=str(label), linewidth=1.2)
+    steps = np.array([table["step"].min(), table["step"].max()])
+    finite = table["error"][np.isfinite(table["error"])]
+    for order, style in ((1, ":"), (2, "--")):
+        axis.loglog(steps, 0.3 * finite.max() * (steps / steps[1]) ** order, style, color="#999999",
+                    label=f"slope {order}", linewidth=1.0)  # fmt: skip
+    axis.set_xlabel("communication step (s)")
+    axis.set_ylabel("largest error / standard deviation (-)")
+    axis.set_title(title, fontsize=10)
+    axis.grid(True, which="both", alpha=0.25)
+    figure.legend(fontsize=8, loc="outside lower center", ncols=3)
+    return _save(figure, path)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.table import Table
@@ -30,12 +31,29 @@ SsvOption = Annotated[list[Path] | None, typer.Option("--ssv", help="Parameter s
 SeedOption = Annotated[int | None, typer.Option(min=0, help="Seed of wind and sea.")]
 UntilOption = Annotated[float | None, typer.Option(metavar="T", help="End of the run, s.")]
 StepOption = Annotated[float | None, typer.Option(metavar="H", help="Communication step, s.")]
+AlgorithmOption = Annotated[
+    str | None, typer.Option(help="gauss-seidel (default), jacobi, iterated or newton.", show_default=False)
+]
+ExtrapolationOption = Annotated[str | None, typer.Option(help="Inputs over a step: linear (default), held, quadratic.")]
+EnergyOption = Annotated[
+    float | None,
+    typer.Option(help="Error of a port's power above which a step is repeated in halves: 1e-3; 0: never."),
+]
+IsolateOption = Annotated[
+    list[str] | None,
+    typer.Option("--isolate", metavar="COMPONENT", help="Run a component in a process of its own; or 'all'."),
+]
 FmusOption = Annotated[Path | None, typer.Option(help="Folder of FMUs to use instead of this package's own.")]
 
 
 @dataclass(frozen=True)
 class Changes:
-    """What the command line changes in a load case."""
+    """What the command line changes in a load case.
+
+    Attributes:
+        stepping: settings of the run, see `RunSettings`.
+        monolithic: whether the components run as one FMU, see `cosim.cli.monolithic`.
+    """
 
     swap: Sequence[str] = ()
     set: Sequence[str] = ()
@@ -45,8 +63,8 @@ class Changes:
     step: float | None = None
     fmus: Path | None = None
     record: Sequence[str] = ()
-    algorithm: str | None = None
-    extrapolation: str | None = None
+    stepping: Mapping[str, Any] = field(default_factory=dict)
+    monolithic: bool = False
 
 
 def run(
@@ -61,17 +79,32 @@ def run(
     folder: Annotated[Path | None, typer.Option("--out", help="New folder for the results.")] = None,
     fmus: FmusOption = None,
     record: Annotated[list[str] | None, typer.Option(help="Record variables too, by pattern: 'barge.hub.*'.")] = None,
-    algorithm: Annotated[str | None, typer.Option(help="gauss-seidel (default) or jacobi.")] = None,
-    extrapolation: Annotated[str | None, typer.Option(help="linear (default) or held.")] = None,
+    algorithm: AlgorithmOption = None,
+    extrapolation: ExtrapolationOption = None,
+    tolerance: Annotated[float | None, typer.Option(help="Of iterations and algebraic loops, relative.")] = None,
+    energy_tolerance: EnergyOption = None,
+    rate: Annotated[
+        list[str] | None, typer.Option(metavar="COMPONENT=N", help="Step a component once in N steps, or 1/N: N times.")
+    ] = None,
+    monolithic: Annotated[
+        bool, typer.Option("--monolithic", help="All components as one FMU, integrated together: the exact coupling.")
+    ] = False,
+    isolate: IsolateOption = None,
     output: FormatOption = Format.TEXT,
 ) -> None:
     """Co-simulate a load case and write results.parquet, summary.json, run.json and run.png.
 
     Example: [bold]fowt run lc4 --damper mtmd --set nacelle_damper.k=6302 --seed 2[/bold]
     """
-    changes = Changes(
-        swap or (), set_ or (), ssv or (), seed, until, step, fmus, record or (), algorithm, extrapolation
-    )
+    stepping = {
+        "algorithm": algorithm, "extrapolation": extrapolation, "tolerance": tolerance,
+        "energy_tolerance": energy_tolerance, "rates": dict(_rate(r) for r in rate) if rate else None,
+        "isolate": tuple(isolate) if isolate else None,
+    }  # fmt: skip
+    chosen_stepping = [f"--{name.replace('_', '-').removesuffix('s')}" for name, v in stepping.items() if v is not None]
+    if monolithic and chosen_stepping:
+        raise CosimError(f"{chosen_stepping[0]} is for coupled components; --monolithic has one: leave either out")
+    changes = Changes(swap or (), set_ or (), ssv or (), seed, until, step, fmus, record or (), stepping, monolithic)
     chosen = read_case(case)
     quiet = output is Format.JSON
     with simulation_progress(quiet) as progress:
@@ -143,7 +176,12 @@ def prepare(case: LoadCase, damper: str | None, changes: Changes, *, quiet: bool
     system = with_parameters(system, {n: _value(text) for n, text in given.items()})
     label = f"{case.name}-{name}" + (f"-seed{seed}" if case.seed_parameters else "")
     about: dict[str, str | int] = {"case": case.name, "damper": name, "seed": seed}
-    return Prepared(label, system, replace(settings, about=about), case.step)
+    prepared = Prepared(label, system, replace(settings, about=about), case.step)
+    if changes.monolithic:
+        from cosim.cli.monolithic import as_one
+
+        return as_one(prepared, quiet=quiet)
+    return prepared
 
 
 def _settings(case: LoadCase, changes: Changes) -> RunSettings:
@@ -161,8 +199,7 @@ def _settings(case: LoadCase, changes: Changes) -> RunSettings:
         channels=read_channels(case.channels),
         record=tuple(changes.record),
     )
-    chosen = {"algorithm": changes.algorithm, "extrapolation": changes.extrapolation}
-    return replace(settings, **{k: v for k, v in chosen.items() if v is not None})  # type: ignore[arg-type]
+    return replace(settings, **{k: v for k, v in changes.stepping.items() if v is not None})
 
 
 def _wind_file(case: LoadCase, seed: int, stop: float, quiet: bool) -> Path:
@@ -193,6 +230,15 @@ def _pair(item: str, option: str, form: str) -> tuple[str, str]:
     return name, value
 
 
+def _rate(item: str) -> tuple[str, float]:
+    """A component and its step in communication steps, from "COMPONENT=2" or "COMPONENT=1/2"."""
+    component, text = _pair(item, "--rate", "COMPONENT=2 or COMPONENT=1/2")
+    try:
+        return component, float(Fraction(text))
+    except (ValueError, ZeroDivisionError) as error:
+        raise CosimError(f"--rate {item}: '{text}' is no number; write it as COMPONENT=2 or COMPONENT=1/2") from error
+
+
 def _value(text: str) -> Number:
     if text.lower() in ("true", "false"):
         return text.lower() == "true"
@@ -221,4 +267,17 @@ def _show(result: RunResult) -> None:
     for name, s in result.summary.items():
         table.add_row(name, s["unit"], *(number(s[k]) for k in ("mean", "std", "min", "max")))
     out.print(table)
+    if result.ports:
+        out.print(_ports_line(result), soft_wrap=True)
     out.print(f"{result.status}: {result.folder} ({result.wall_time:.1f} s of wall time)")
+
+
+def _ports_line(result: RunResult) -> str:
+    """The largest coupling-energy residual among the ports, in words."""
+    shares = {n: abs(p["residual"]) / p["crossed"] if p["crossed"] else 0.0 for n, p in result.ports.items()}
+    worst = max(shares, key=lambda name: shares[name])
+    port = result.ports[worst]
+    return (
+        f"coupling energy: at most {shares[worst]:.1e} of what crossed a port"
+        f" ({worst}: {port['residual']:.3g} J of {port['crossed']:.3g} J); all ports in run.json"
+    )
