@@ -20,7 +20,7 @@ class Scheme:
     """A way of stepping: algorithm, inputs over a step, whether steps are halved where a port's energy demands it."""
 
     algorithm: str
-    extrapolation: str = "linear"
+    extrapolation: str = "quadratic"
     halved: bool = False
 
     @property
@@ -41,7 +41,7 @@ SCHEMES = (
     Scheme("gauss-seidel", "held"),
     Scheme("gauss-seidel", "linear"),
     Scheme("gauss-seidel", "quadratic"),
-    Scheme("gauss-seidel", "linear", halved=True),
+    Scheme("gauss-seidel", "quadratic", halved=True),
     Scheme("newton", halved=True),
 )
 

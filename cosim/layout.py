@@ -16,7 +16,7 @@ from cosim.graph import algebraic_loops, stale_outputs
 from cosim.recording import SelectedChannel
 
 Algorithm = Literal["gauss-seidel", "jacobi", "iterated", "newton"]
-Extrapolation = Literal["linear", "held", "quadratic"]
+Extrapolation = Literal["quadratic", "linear", "held"]
 ITERATED = ("iterated", "newton")
 FINER = (
     2  # steps of a component in half an iterated step: so that its own integration does not hide the coupling's gain

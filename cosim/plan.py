@@ -27,7 +27,7 @@ class Stepping:
 
     Attributes:
         start, step: s. decimation: steps per recorded row.
-        tolerance: relative, of algebraic loops and iterations; None: 1e-6, and 1e-10 where steps are iterated.
+        tolerance: relative, of algebraic loops and iterations; None: 1e-5, and 1e-10 where steps are iterated.
         energy_tolerance: share of a port's power above which a step is halved; 0: never.
     """
 
@@ -54,7 +54,7 @@ class Stepper:
         self._pairs = (kernel.PairStruct * max(1, len(layout.pairs)))(*(kernel.PairStruct(*p) for p in layout.pairs))
         self._ports = (kernel.PortStruct * max(1, len(layout.ports)))()
         iterated = how.algorithm in ITERATED
-        tolerance = how.tolerance or (1e-10 if iterated else 1e-6)
+        tolerance = how.tolerance or (1e-10 if iterated else 1e-5)
         self.plan = kernel.PlanStruct(
             members=self._members, n_members=len(layout.members), n_values=len(layout.reads),
             n_inputs=len(layout.inputs), n_late=len(layout.late), n_tear=len(layout.tear),
@@ -188,7 +188,8 @@ class Stepper:
         failure = instance.failure(kernel.CAUSES[plan.cause], plan.status, self.time)
         if plan.status == kernel.FATAL:
             instance.abandon()
-        raise RunFailed(failure)
+        second = plan.cause == kernel.SLOPE_FAILED and plan.order == 2
+        raise RunFailed(failure + ("; if it takes no second derivatives, use linear extrapolation" if second else ""))
 
     def _unsolved(self, plan: Any, time: float) -> str:
         worst = self._input_name(plan.failed_value)

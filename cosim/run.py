@@ -53,9 +53,9 @@ class RunSettings:
         algorithm: "gauss-seidel" (each component sees what those before it have reached), "jacobi" (none does),
             "iterated" (steps are repeated to convergence, with Aitken's relaxation), "newton" (the same, with the
             Jacobian of direct feed-through).
-        extrapolation: inputs "linear" or "quadratic" over the step, or "held" as classic masters do. Held inputs damp
+        extrapolation: inputs "quadratic" or "linear" over the step, or "held" as classic masters do. Held inputs damp
             negatively: a force held over the step costs a mode omega * step / 4 of its damping ratio (Gauss-Seidel),
-            three times that with Jacobi.
+            three times that with Jacobi. See docs/coupling.md.
         tolerance: relative, of algebraic loops and iterations; None for the algorithm's own.
         energy_tolerance: error of a mechanical port's power, as a share of it, above which a step is repeated in halves
             (as when a damper hits its end stop); 0: never. None: 1e-3 if every FMU can go back, else 0.
@@ -72,7 +72,7 @@ class RunSettings:
     start: float = 0.0
     step: float = 0.0125
     algorithm: Algorithm = "gauss-seidel"
-    extrapolation: Extrapolation = "linear"
+    extrapolation: Extrapolation = "quadratic"
     tolerance: float | None = None
     energy_tolerance: float | None = None
     rates: Mapping[str, float] = field(default_factory=dict)

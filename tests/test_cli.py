@@ -113,7 +113,10 @@ MTMD = ("run", "lc4", "--damper", "mtmd", *SHORT)
         (("run", "decay10", "--rate", "hydro=x"), "'x' is no number; write it as COMPONENT=2 or COMPONENT=1/2"),
         (("run", "decay10", "--algorithm", "newto"), "no algorithm 'newto'; did you mean 'newton'"),
         (("run", "lc4", "--until", "-1"), "stop -1 s must be finite and after start 0 s"),
-        (("run", "lc4", "--until", "60", "--step", "5", "--energy-tolerance", "0"), "the step is larger than the case's 0.0125 s"),
+        (
+            ("run", "lc4", "--until", "60", "--step", "5", "--energy-tolerance", "0"),
+            "the step is larger than the case's 0.0125 s",
+        ),
         (("run", "{bad_case}"), "unknown key 'dampr'; did you mean 'damper'?"),
         (("build", "tdm"), "no component 'tdm'; did you mean 'tmd'?"),
         (("optimise", "mtdm"), "did you mean 'mtmd'?"),

@@ -34,7 +34,7 @@ StepOption = Annotated[float | None, typer.Option(metavar="H", help="Communicati
 AlgorithmOption = Annotated[
     str | None, typer.Option(help="gauss-seidel (default), jacobi, iterated or newton.", show_default=False)
 ]
-ExtrapolationOption = Annotated[str | None, typer.Option(help="Inputs over a step: linear (default), held, quadratic.")]
+ExtrapolationOption = Annotated[str | None, typer.Option(help="Inputs over a step: quadratic (default), linear, held.")]
 EnergyOption = Annotated[
     float | None,
     typer.Option(help="Error of a port's power above which a step is repeated in halves: 1e-3; 0: never."),

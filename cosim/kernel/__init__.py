@@ -21,7 +21,7 @@ CAUSES = (
     "", "fmi2Set of an input", "fmi2SetRealInputDerivatives", "fmi2DoStep", "fmi2Get of an output", "value",
     "fmi2GetFMUstate", "fmi2SetFMUstate", "fmi2GetDirectionalDerivative",
 )  # fmt: skip
-NOT_FINITE, NOT_CONVERGED, LOOP_OPEN = 5, 9, 10
+SLOPE_FAILED, NOT_FINITE, NOT_CONVERGED, LOOP_OPEN = 2, 5, 9, 10
 STATUS = ("fmi2OK", "fmi2Warning", "fmi2Discard", "fmi2Error", "fmi2Fatal", "fmi2Pending")
 WARNING, FATAL = STATUS.index("fmi2Warning"), STATUS.index("fmi2Fatal")
 LOG_LINES = 8  # as in kernel.h
@@ -112,6 +112,7 @@ class PlanStruct(Structure):
         *((name, c_int32) for name in ("n_backward", "n_late", "n_tear")),
         *((name, c_void_p) for name in ("jacobian", "matrix", "correction", "seed", "response")),
         ("jacobian_known", c_int32),
+        ("jacobian_attempts", c_int64),
         ("gain", c_double),
         ("pairs", POINTER(PairStruct)),
         ("ports", POINTER(PortStruct)),

@@ -9,7 +9,7 @@
 #include <math.h>
 #include <string.h>
 
-enum { MOST_SWEEPS = 30, PATIENCE = 4 };
+enum { MOST_SWEEPS = 30, PATIENCE = 4, KEPT = 40 }; /* KEPT: steps that a Jacobian which still serves is kept at least */
 static const double STRONG = 0.3;
 
 /* Set and read the components concerned, with `used` for the inputs whose source comes later; `now` is what they give. */
@@ -92,6 +92,7 @@ int find_jacobian(Plan *p, const double *base)
     for (int32_t column = 0; column < p->n_tear; ++column)
         if (p->members[p->target[p->tear[column]]].stale && !(by_derivatives ? directional_column(p, column) : difference_column(p, column, base))) return 0;
     p->jacobian_known = 1;
+    p->jacobian_attempts = p->attempts;
     p->gain = 0.0;
     for (int32_t row = 0; row < p->n_tear; ++row) {
         double sum = 0.0;
@@ -168,7 +169,9 @@ int exchange(Plan *p)
             }
         }
         if (largest <= p->tolerance) return 1;
-        if (p->n_tear > 0 && (!p->jacobian_known || (largest > 0.5 * before && ++patience >= PATIENCE))) {
+        const int poor = largest > 0.5 * before && ++patience >= PATIENCE;
+        const int aged = i > 0 && p->attempts - p->jacobian_attempts > KEPT; /* two sweeps would do with a new one */
+        if (p->n_tear > 0 && (!p->jacobian_known || poor || aged)) {
             patience = 0;
             if (!find_jacobian(p, used)) return 0;
         }

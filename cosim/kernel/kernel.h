@@ -103,6 +103,7 @@ typedef struct {
     double *correction;        /* twice tears: what `correct` gives and takes */
     double *seed, *response;   /* work: inputs, values */
     int32_t jacobian_known;
+    int64_t jacobian_attempts; /* attempts when it was found */
     double gain; /* of the loops: largest row sum of the Jacobian */
     /* ports */
     const Pair *pairs;
