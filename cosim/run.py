@@ -39,7 +39,7 @@ from cosim.system import System
 
 BLOCK_WALL = 0.2  # s between looks at progress and Ctrl-C
 BLOCK_SIMULATED = 2.0  # s
-ENERGY_TOLERANCE = 1e-3
+ENERGY_TOLERANCE = {False: 1e-3, True: 1e-5}  # of single passes, and of iterated steps
 RESIDUAL_SHARE = 1e-3  # of the energy that crossed a port: above it the coupling's own energy is worth a warning
 Progress = Callable[[float], None]
 
@@ -58,7 +58,7 @@ class RunSettings:
             three times that with Jacobi. See docs/coupling.md.
         tolerance: relative, of algebraic loops and iterations; None for the algorithm's own.
         energy_tolerance: error of a mechanical port's power, as a share of it, above which a step is repeated in halves
-            (as when a damper hits its end stop); 0: never. None: 1e-3 if every FMU can go back, else 0.
+            (as when a damper hits its end stop); 0: never. None: 1e-3 (iterated: 1e-5) if all FMUs can go back, else 0.
         rates: step of a component in communication steps, such as {"mooring": 2} or {"nacelle_damper": 0.5}.
         order: components to advance first.
         channels, record: what to record, see `select_channels`; every `decimation`-th step.
@@ -269,7 +269,8 @@ class _Run:
             )
         usable = self.layout.pairs and all(f.keeps_state for f in self.checked.fmus) and s.extrapolation != "held"
         usable = usable and all(m.every == 1 for m in self.layout.members)
-        chosen = (ENERGY_TOLERANCE if usable else 0.0) if s.energy_tolerance is None else s.energy_tolerance
+        usual = ENERGY_TOLERANCE[s.algorithm in ITERATED] if usable else 0.0
+        chosen = usual if s.energy_tolerance is None else s.energy_tolerance
         return Stepping(s.start, s.step, s.decimation, s.algorithm, s.extrapolation, s.tolerance, chosen)
 
     def _instantiate(self, unpacked: Path, stack: ExitStack) -> list[Instance]:

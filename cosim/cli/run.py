@@ -37,7 +37,9 @@ AlgorithmOption = Annotated[
 ExtrapolationOption = Annotated[str | None, typer.Option(help="Inputs over a step: quadratic (default), linear, held.")]
 EnergyOption = Annotated[
     float | None,
-    typer.Option(help="Error of a port's power above which a step is repeated in halves: 1e-3; 0: never."),
+    typer.Option(
+        help="Error of a port's power above which a step is repeated in halves: 1e-3, iterated 1e-5; 0: never."
+    ),
 ]
 IsolateOption = Annotated[
     list[str] | None,

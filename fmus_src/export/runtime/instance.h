@@ -71,7 +71,13 @@ fmi2Status current(instance *m); /* brings the outputs up to date */
 int integrate(instance *m, const double *u, double begin, double end);
 
 /* variables.c */
-fmi2Status check(instance *m, const char *function, fmi2ValueReference vr, variable_kind kind, const void *value);
+fmi2Status unknown(instance *m, const char *function, fmi2ValueReference vr, const void *value); /* reports */
+
+static inline fmi2Status check(instance *m, const char *function, fmi2ValueReference vr, variable_kind kind, const void *value)
+{
+    const int fine = value && vr < (fmi2ValueReference)model.n_variables && model.variables[vr].kind == kind;
+    return fine ? fmi2OK : unknown(m, function, vr, value);
+}
 
 static inline void arguments_of(const instance *m, const double *t, const double *x, const casadi_real **arg)
 {

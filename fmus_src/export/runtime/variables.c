@@ -1,23 +1,26 @@
 /* Getting and setting variables, and time derivatives of inputs. */
+#include <float.h>
 #include <math.h>
 
 #include "instance.h"
 
-fmi2Status check(instance *m, const char *function, fmi2ValueReference vr, variable_kind kind, const void *value)
+fmi2Status unknown(instance *m, const char *function, fmi2ValueReference vr, const void *value)
 {
     if (!value) return report(m, fmi2Error, "%s: null pointer", function);
-    if (vr >= (fmi2ValueReference)model.n_variables || model.variables[vr].kind != kind)
-        return report(m, fmi2Error, "%s: no such value reference: %u", function, (unsigned)vr);
-    return fmi2OK;
+    return report(m, fmi2Error, "%s: no such value reference: %u", function, (unsigned)vr);
 }
 
 static fmi2Status get(instance *m, const char *function, const fmi2ValueReference *vr, size_t n, variable_kind kind,
                       double *reals, int *integers)
 {
     if (!m) return fmi2Error;
+    int up_to_date = 0;
     for (size_t i = 0; i < n; i++) {
         if (check(m, function, vr[i], kind, reals ? (void *)reals : (void *)integers) != fmi2OK) return fmi2Error;
-        if (model.variables[vr[i]].role >= CALCULATED && current(m) != fmi2OK) return fmi2Error;
+        if (!up_to_date && model.variables[vr[i]].role >= CALCULATED) {
+            if (current(m) != fmi2OK) return fmi2Error;
+            up_to_date = 1;
+        }
         if (reals) reals[i] = m->values[vr[i]];
         else integers[i] = (int)m->values[vr[i]];
     }
@@ -38,7 +41,6 @@ static fmi2Status set_one(instance *m, const char *function, fmi2ValueReference 
     if (m->values[vr] == value) return fmi2OK;
     m->values[vr] = value;
     m->outputs_current = 0;
-    if (v->role == INPUT) return fmi2OK;
     if (m->s.mode != STEPPING) m->s.started = 0; /* initial states follow the parameters */
     else {
         const casadi_real *arg[N_ARGUMENTS] = {m->values};
@@ -54,6 +56,12 @@ static fmi2Status set(instance *m, const char *function, const fmi2ValueReferenc
     for (size_t i = 0; i < n; i++) {
         if (check(m, function, vr[i], kind, reals ? (const void *)reals : (const void *)integers) != fmi2OK) return fmi2Error;
         double value = reals ? reals[i] : kind == BOOLEAN ? integers[i] != 0 : integers[i];
+        const variable *v = &model.variables[vr[i]];
+        if (v->role == INPUT && m->s.mode <= STEPPING && fabs(value) <= DBL_MAX && value >= v->min && value <= v->max) {
+            if (m->values[vr[i]] != value) m->outputs_current = 0;
+            m->values[vr[i]] = value;
+            continue;
+        }
         if (set_one(m, function, vr[i], value) != fmi2OK) return fmi2Error;
     }
     return fmi2OK;
