@@ -150,9 +150,16 @@ class Stepper:
         return {self.instances[m.component].name: member.seconds * share for m, member in members}
 
     def ports(self) -> dict[str, dict[str, float]]:
-        """Energies of each mechanical port, J: what crossed it, and the coupling's residual."""
+        """Energies of each mechanical port, J: what crossed it, and the coupling's residual; `share` of the former."""
         ports = zip(self.layout.ports, self._ports, strict=False)  # the array has one element at least
-        return {name: {"crossed": port.crossed, "residual": port.residual} for name, port in ports}
+        return {
+            name: {
+                "crossed": port.crossed,
+                "residual": port.residual,
+                "share": abs(port.residual) / port.crossed if port.crossed > 0.0 else 0.0,
+            }
+            for name, port in ports
+        }
 
     def work(self) -> dict[str, int]:
         """How often steps were attempted, halved and iterated, and outputs read anew."""

@@ -127,7 +127,7 @@ class RunResult:
         time: reached, s. wall_time: of the whole run, s.
         last: last recorded values by channel. summary: statistics after the transient.
         component_seconds: wall time of each component.
-        ports: of each mechanical port, the energy that crossed it and the coupling's residual, J.
+        ports: of each mechanical port, the energy that `crossed` it and the coupling's `residual`, J, and their `share`.
     """
 
     folder: Path
@@ -323,10 +323,9 @@ class _Run:
 
     def _judge_ports(self, stepper: Stepper) -> None:
         for name, port in stepper.ports().items():
-            share = abs(port["residual"]) / port["crossed"] if port["crossed"] > 0.0 else 0.0
-            if share > RESIDUAL_SHARE:
+            if port["share"] > RESIDUAL_SHARE:
                 self.warnings.append(
-                    f"port {name}: the coupling added {port['residual']:.3g} J, {100.0 * share:.2g} % of the energy"
+                    f"port {name}: the coupling added {port['residual']:.3g} J, {100.0 * port['share']:.2g} % of the energy"
                     " that crossed it; reduce the step, or use linear extrapolation or an iterated algorithm"
                 )
 

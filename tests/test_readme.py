@@ -26,12 +26,13 @@ def test_python_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert (tmp_path / "fmus/oscillator.fmu").exists()
 
 
-def test_commands_of_the_readme_exist(capsys: pytest.CaptureFixture[str]) -> None:
-    """Every option that the README shows is one that the command knows."""
+def test_commands_of_the_documents_exist(capsys: pytest.CaptureFixture[str]) -> None:
+    """Every option that the documents show is one that the command knows."""
     from cosim.cli import app
 
-    lines = [line.split("#")[0].strip() for line in README.read_text().splitlines() if line.startswith("fowt ")]
-    assert len(lines) >= 7
+    text = "\n".join(page.read_text() for page in (README, *README.parent.glob("docs/*.md")))
+    lines = [line.split("#")[0].strip() for line in text.splitlines() if line.startswith("fowt ")]
+    assert len(lines) >= 15
     for line in lines:
         _, command, *words = shlex.split(line)
         app([command, "--help"], standalone_mode=False)

@@ -100,7 +100,10 @@ def plot_convergence(table: pd.DataFrame, title: str, path: Path) -> Path:
     for order, style in ((1, ":"), (2, "--")):
         axis.loglog(steps, 0.3 * finite.max() * (steps / steps[1]) ** order, style, color="#999999",
                     label=f"slope {order}", linewidth=1.0)  # fmt: skip
-    axis.set_xlabel("communication step (s)")
+    marks = sorted(table["step"].unique())
+    axis.set_xticks(marks, [f"{1e3 * h:.4g}" for h in marks])
+    axis.minorticks_off()
+    axis.set_xlabel("communication step (ms)")
     axis.set_ylabel("largest error / standard deviation (-)")
     axis.set_title(title, fontsize=10)
     axis.grid(True, which="both", alpha=0.25)

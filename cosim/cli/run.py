@@ -276,10 +276,8 @@ def _show(result: RunResult) -> None:
 
 def _ports_line(result: RunResult) -> str:
     """The largest coupling-energy residual among the ports, in words."""
-    shares = {n: abs(p["residual"]) / p["crossed"] if p["crossed"] else 0.0 for n, p in result.ports.items()}
-    worst = max(shares, key=lambda name: shares[name])
-    port = result.ports[worst]
+    name, port = max(result.ports.items(), key=lambda item: item[1]["share"])
     return (
-        f"coupling energy: at most {shares[worst]:.1e} of what crossed a port"
-        f" ({worst}: {port['residual']:.3g} J of {port['crossed']:.3g} J); all ports in run.json"
+        f"coupling energy: at most {port['share']:.1e} of what crossed a port"
+        f" ({name}: {port['residual']:.3g} J of {port['crossed']:.3g} J); all ports in run.json"
     )
