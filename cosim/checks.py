@@ -95,6 +95,7 @@ def check(system: System, isolated: Collection[str] = ()) -> CheckedSystem:
             values = ", ".join(f"{v.name} = {start[k].get(v.name, v.start)}" for v in loose)
             warnings.append(f"{name}: not connected, start value used: {values}")
     ports = tuple(_port(p, names, fmus) for p in system.ports)
+    warnings += [w for p in system.ports for w in _lost_pairs(p, fmus[names.index(p.component)])]
     return CheckedSystem(system.name, names, fmus, links, start, tuple(warnings), ports)
 
 
@@ -146,6 +147,11 @@ def _port(port: Port, names: tuple[str, ...], fmus: tuple[Fmu, ...]) -> CheckedP
             raise CosimError(f"port '{port.name}': {effort} ({units[0]}) times {flow} ({units[1]}) is no power in W")
         pairs.append((force, velocity, position))
     return CheckedPort(port.name, k, tuple(pairs))
+
+
+def _lost_pairs(port: Port, fmu: Fmu) -> list[str]:
+    missing = [n for n in dict.fromkeys(n for pair in port.pairs for n in pair) if n and n not in fmu.variables]
+    return [f"port {port.name}: not measured in full, {fmu.path.name} has no {', '.join(missing)}"] if missing else []
 
 
 def _makes_watt(effort: Unit | None, flow: Unit | None) -> bool:

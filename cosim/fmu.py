@@ -52,6 +52,7 @@ class Fmu:
         interpolates: the FMU takes slopes of its inputs (canInterpolateInputs).
         keeps_state: its state can be saved and restored (canGetAndSetFMUstate).
         differentiates: it gives directional derivatives (providesDirectionalDerivative).
+        varies_step: it takes steps of any length (canHandleVariableCommunicationStepSize).
     """
 
     path: Path
@@ -65,6 +66,7 @@ class Fmu:
     interpolates: bool
     keeps_state: bool
     differentiates: bool
+    varies_step: bool
     once_per_process: bool
 
     def variable(self, component: str, name: str) -> FmuVariable:
@@ -130,6 +132,7 @@ def _read(path: Path, modified: int, size: int) -> Fmu:
         interpolates=bool(md.coSimulation.canInterpolateInputs),
         keeps_state=bool(md.coSimulation.canGetAndSetFMUstate),
         differentiates=bool(md.coSimulation.providesDirectionalDerivative),
+        varies_step=bool(md.coSimulation.canHandleVariableCommunicationStepSize),
         once_per_process=bool(md.coSimulation.canBeInstantiatedOnlyOncePerProcess),
     )
 

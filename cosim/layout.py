@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -18,9 +18,8 @@ from cosim.recording import SelectedChannel
 Algorithm = Literal["gauss-seidel", "jacobi", "iterated", "newton"]
 Extrapolation = Literal["quadratic", "linear", "held"]
 ITERATED = ("iterated", "newton")
-FINER = (
-    2  # steps of a component in half an iterated step: so that its own integration does not hide the coupling's gain
-)
+# An iterated component steps so often in half a step: its own integration is not to hide what the iteration gains.
+FINER = 2
 TYPES = ("Real", "Integer", "Boolean")
 HELD, EXTRAPOLATED, INTERPOLATED = range(3)
 
@@ -87,7 +86,7 @@ class Layout:
 
     def scales(self) -> Reals:
         """Magnitude of each value, for tolerances and limits: its nominal, 1 if none."""
-        return np.array([max(1.0, abs(v.nominal or 1.0)) for _, v in self.reads])
+        return np.array([abs(v.nominal or 1.0) for _, v in self.reads])
 
 
 def lay_out(
@@ -124,7 +123,16 @@ def lay_out(
     stale = stale_outputs(
         system, order, lambda k: mode(k) in assumed and k.output.variability in (None, "continuous", "discrete")
     )
-    port_pairs = [(port.name, port.component, *pair) for port in system.ports for pair in port.pairs]
+    port_names = [port.name for port in system.ports]
+    port_pairs = [
+        (
+            port.name if port_names.count(port.name) == 1 else f"{system.names[port.component]}.{port.name}",
+            port.component,
+            *pair,
+        )
+        for port in system.ports
+        for pair in port.pairs
+    ]
     wanted = {(k.source, k.output.name): k.output for k in system.links}
     wanted |= {(c.component, c.variable.name): c.variable for c in channels}
     wanted |= {(component, flow.name): flow for _, component, _, flow, _ in port_pairs}
@@ -139,8 +147,8 @@ def lay_out(
     continuous = {k.source for k in links if mode(k) != HELD}
     read_anew = {c for c in order if every[c] == 1 and any((c, v.name) in stale for owner, v in reads if owner == c)}
 
-    def where(chosen: Any) -> Integers:
-        return np.array([i for i, k in enumerate(links) if _type(k.input) == 0 and chosen(k)], dtype=np.int32)
+    def where(chosen: Callable[[Link], bool]) -> Integers:
+        return np.array([i for i, k in enumerate(links) if chosen(k)], dtype=np.int32)
 
     def member(component: int) -> MemberLayout:
         own = [k for k in links if k.target == component]
@@ -177,7 +185,7 @@ def lay_out(
         ),
         every_backward=where(lambda k: not forward(k)),
         late=where(lambda k: mode(k) != HELD and k.target in continuous and not forward(k)),
-        tear=where(lambda k: (k.target, k.input.name) in on_loops and not forward(k)),
+        tear=where(lambda k: _type(k.input) == 0 and (k.target, k.input.name) in on_loops and not forward(k)),
         ports=ports,
         pairs=pairs,
         channel=np.array([number[c.component, c.variable.name] for c in channels], dtype=np.int32),
@@ -189,7 +197,8 @@ def lay_out(
 
 def _varies(link: Link) -> bool:
     """Whether an input changes between communication points: what is sampled, an integer or a parameter does not."""
-    return _continuous(link.output) and link.input.type == "Real"
+    continuous = link.input.variability in (None, "continuous")
+    return continuous and _continuous(link.output) and link.input.type == "Real"
 
 
 def _continuous(variable: FmuVariable) -> bool:
@@ -205,14 +214,16 @@ def _rates(
     for name, rate in rates.items():
         if name not in system.names:
             raise CosimError(f"rate of '{name}': no such component{nearest(name, system.names)}")
-        k, multiple, fraction = system.names.index(name), round(rate), round(1.0 / rate) if rate > 0.0 else 0
+        if not 1e-6 < rate < 1e6:
+            raise CosimError(f"rate of {name}: {rate:g} steps is out of range; use 2 or 1/2")
+        k, multiple, fraction = system.names.index(name), round(rate), round(1.0 / rate)
         if not (rate >= 1.0 and rate == multiple) and not (0.0 < rate < 1.0 and abs(rate * fraction - 1.0) < 1e-9):
             raise CosimError(f"rate of {name}: {rate:g} steps is no whole number nor one over such; use 2 or 1/2")
         if rate > 1.0 and algorithm in ITERATED:
             raise CosimError(
                 f"rate of {name}: algorithm '{algorithm}' takes no multiples of the step; use gauss-seidel"
             )
-        every[k], substeps[k] = (multiple, 1) if rate >= 1.0 else (1, fraction)
+        every[k], substeps[k] = (multiple, substeps[k]) if rate >= 1.0 else (1, substeps[k] * fraction)
     return every, substeps
 
 
@@ -229,6 +240,11 @@ def _pairs(
     for name, component, effort, flow, position in port_pairs:
         at = input_number.get((component, effort.name))
         if at is None or mode(links[at]) == HELD or max(every[component], every[links[at].source]) > 1:
+            continue
+        if 0.0 in (
+            links[at].factor,
+            *(k.factor for k in links if k.source == component and k.target == links[at].source),
+        ):
             continue
         feeds = {
             k.output.name: i for i, k in enumerate(links)

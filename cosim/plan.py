@@ -77,7 +77,7 @@ class Stepper:
             if saving and member.get_state is None:
                 raise CosimError(
                     f"{instance.name}: {instance.fmu.path.name} cannot save its state (canGetAndSetFMUstate), which"
-                    " iterated and halved steps need; use algorithm gauss-seidel"
+                    " iterated steps need; use algorithm gauss-seidel"
                 )
             member.first_read, member.first_input = first_read, first_input
             member.reads[:], member.inputs[:] = m.reads, m.inputs
@@ -85,6 +85,8 @@ class Stepper:
                 setattr(member, name, getattr(m, name))
             first_read += sum(m.reads)
             first_input += sum(m.inputs)
+        usable = all(member.get_state for member in self._members) and not self.plan.slow
+        self.plan.reversible = usable
 
     def _read_anew(self, everything: bool) -> None:
         """Choose what an exchange reads anew: all components (initialisation), or those that a step leaves stale."""
@@ -194,14 +196,24 @@ class Stepper:
             raise RunFailed(self._unsolved(plan, end))
         failure = instance.failure(kernel.CAUSES[plan.cause], plan.status, self.time)
         if plan.status == kernel.FATAL:
-            instance.abandon()
-        second = plan.cause == kernel.SLOPE_FAILED and plan.order == 2
-        raise RunFailed(failure + ("; if it takes no second derivatives, use linear extrapolation" if second else ""))
+            self._abandon(instance)
+        if plan.cause == kernel.SLOPE_FAILED and (plan.order == 2 or plan.scheme != SINGLE_PASS):
+            failure += "; if it takes no second derivatives, use algorithm gauss-seidel with linear extrapolation"
+        raise RunFailed(failure)
+
+    def _abandon(self, failed: Instance) -> None:
+        """After fmi2Fatal, FMI allows no further call to any instance of the FMU that is in the same process."""
+        for member, m in zip(self._members, self.layout.members, strict=True):
+            instance = self.instances[m.component]
+            if instance is failed or (type(instance) is Instance and instance.fmu.path == failed.fmu.path):
+                instance.abandon()
+                member.saved = None
 
     def _unsolved(self, plan: Any, time: float) -> str:
         worst = self._input_name(plan.failed_value)
         if plan.cause == kernel.NOT_CONVERGED:
-            return f"the iterated step to t = {time:.6g} s does not converge at {worst}; reduce the step or use newton"
+            remedy = "reduce the step" + (" or use newton" if plan.scheme == FIXED_POINT else "")
+            return f"the iterated step to t = {time:.6g} s does not converge at {worst}; {remedy}"
         looped = [path for path in self.layout.loops if worst in path.split(" -> ")] or list(self.layout.loops)
         path = f" (algebraic loop {looped[0]})" if looped else ""
         return f"{worst} does not settle at t = {time:.6g} s{path}; give better start values, or break the loop"
@@ -216,7 +228,7 @@ def _arrays(layout: Layout) -> dict[str, npt.NDArray[Any]]:
     arrays: dict[str, npt.NDArray[Any]] = {
         "read_reference": np.array([v.reference for _, v in layout.reads], dtype=np.uint32),
         "input_reference": np.array([v.reference for _, v in layout.inputs], dtype=np.uint32),
-        "limit": EXPLOSION * layout.scales(),
+        "limit": EXPLOSION * np.maximum(1.0, layout.scales()),
         "scale": layout.scales(),
         "rows": np.zeros((ROWS, 1 + len(layout.channel))),
         "integers": np.zeros(longest, dtype=np.int32),

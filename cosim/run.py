@@ -127,7 +127,7 @@ class RunResult:
         time: reached, s. wall_time: of the whole run, s.
         last: last recorded values by channel. summary: statistics after the transient.
         component_seconds: wall time of each component.
-        ports: of each mechanical port, the energy that `crossed` it and the coupling's `residual`, J, and their `share`.
+        ports: of each mechanical port, the energy that `crossed` it and the coupling's `residual`, J; their `share`.
     """
 
     folder: Path
@@ -262,16 +262,26 @@ class _Run:
 
     def _stepping(self) -> Stepping:
         s = self.settings
-        if s.energy_tolerance and not self.layout.pairs:
-            raise CosimError(
-                f"energy_tolerance: system '{self.checked.name}' has no mechanical port to judge steps by; annotate"
-                " ports in the .ssd"
-            )
-        usable = self.layout.pairs and all(f.keeps_state for f in self.checked.fmus) and s.extrapolation != "held"
-        usable = usable and all(m.every == 1 for m in self.layout.members)
-        usual = ENERGY_TOLERANCE[s.algorithm in ITERATED] if usable else 0.0
+        obstacle = self._obstacle_to_halving()
+        if s.energy_tolerance and obstacle:
+            raise CosimError(f"energy_tolerance {s.energy_tolerance:g}: {obstacle}; set it to 0")
+        usual = 0.0 if obstacle or s.extrapolation == "held" else ENERGY_TOLERANCE[s.algorithm in ITERATED]
         chosen = usual if s.energy_tolerance is None else s.energy_tolerance
         return Stepping(s.start, s.step, s.decimation, s.algorithm, s.extrapolation, s.tolerance, chosen)
+
+    def _obstacle_to_halving(self) -> str:
+        """Why steps of this system cannot be repeated in halves, or ""."""
+        if not self.layout.pairs:
+            return f"system '{self.checked.name}' has no mechanical port to judge steps by"
+        for member in self.layout.members:
+            name, fmu = self.checked.names[member.component], self.checked.fmus[member.component]
+            if member.every > 1:
+                return f"{name} steps at multiples of the step, so that steps cannot be halved"
+            if not fmu.keeps_state:
+                return f"{name}: {fmu.path.name} cannot save its state (canGetAndSetFMUstate)"
+            if not fmu.varies_step:
+                return f"{name}: {fmu.path.name} takes steps of one length (canHandleVariableCommunicationStepSize)"
+        return ""
 
     def _instantiate(self, unpacked: Path, stack: ExitStack) -> list[Instance]:
         s = self.settings
@@ -325,8 +335,8 @@ class _Run:
         for name, port in stepper.ports().items():
             if port["share"] > RESIDUAL_SHARE:
                 self.warnings.append(
-                    f"port {name}: the coupling added {port['residual']:.3g} J, {100.0 * port['share']:.2g} % of the energy"
-                    " that crossed it; reduce the step, or use linear extrapolation or an iterated algorithm"
+                    f"port {name}: the coupling added {port['residual']:.3g} J, {100.0 * port['share']:.2g} % of what"
+                    " crossed it; reduce the step, or use quadratic extrapolation or an iterated algorithm"
                 )
 
     def write(self, status: str, message: str) -> None:

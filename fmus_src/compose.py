@@ -58,7 +58,7 @@ def compose(
     connections: Sequence[Connection] = (),
     *,
     description: str = "",
-    internal_step: float = INTERNAL_STEP,
+    internal_step: float | None = None,
 ) -> Component:
     """Compose components into one.
 
@@ -72,7 +72,7 @@ def compose(
             variables' own units; "NAME.variable" with an element's index, or whole arrays of one shape. Parameters
             and calculated parameters may feed inputs too.
         description: of the whole; by default it names the parts.
-        internal_step: largest sub-step of the integrator, s.
+        internal_step: largest sub-step of the integrator, s; None: 1.6 ms, or a component's own if that is less.
 
     Returns:
         a component whose variables are "NAME.variable" for every variable of the parts, less the connected inputs.
@@ -90,7 +90,7 @@ def compose(
         name,
         description or f"System of {', '.join(components)}",
         symbols="MX",
-        internal_step=internal_step,
+        internal_step=internal_step or min(INTERNAL_STEP, *(c.internal_step for c in components.values())),
         sample_time=next(iter(sampled.values()), None),
         sample_at_start=any(c.sample_at_start for c in components.values()),
         directional_derivatives=False,

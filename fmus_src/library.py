@@ -18,7 +18,7 @@ from typing import Any
 from platformdirs import user_cache_path
 
 from fmus_src.component import Component
-from fmus_src.compose import INTERNAL_STEP, Connection, compose
+from fmus_src.compose import Connection, compose
 from fmus_src.export.build import build_all, build_fmu
 from fmus_src.hydro.database import PACKAGED
 
@@ -98,7 +98,7 @@ def build_variant(name: str, options: Mapping[str, Any]) -> Path:
 
 
 def build_system(
-    name: str, parts: Mapping[str, str], connections: Sequence[Connection], internal_step: float = INTERNAL_STEP
+    name: str, parts: Mapping[str, str], connections: Sequence[Connection], internal_step: float | None = None
 ) -> Path:
     """Build components as one FMU into the user's cache; what is there for these sources is kept.
 

@@ -62,6 +62,29 @@ def test_observed_order(run: Run, oscillator: System, settings: dict[str, str], 
     assert order[0] < observed[-1] < order[1], (errors, observed)
 
 
+@pytest.mark.parametrize(("extrapolation", "order"), [("linear", 2), ("quadratic", 3)])
+def test_the_first_step_costs_no_order(
+    run: Run, built: Callable[[Component], Path], extrapolation: str, order: int
+) -> None:
+    """A system that moves from the start: the first step is rehearsed, as nothing before it can be extrapolated."""
+    thrown = Component("thrown", "Mass that moves at the start", internal_step=1e-3)
+    f = thrown.input("force", unit="N", description="force")
+    x = thrown.state("x", unit="m", description="position")
+    v = thrown.state("v", unit="m/s", description="velocity", start=1.0)
+    thrown.derivative(x, v)
+    thrown.derivative(v, f)
+    thrown.output("position", x, unit="m", description="position")
+    system = two_masses(built(thrown), built(carried()), stretch=0.0)
+
+    def error(step: float) -> float:
+        frame = run(system, step, extrapolation=extrapolation).frame()
+        return float(
+            np.abs(frame["damper.position"] - frame["structure.position"] + np.sin(OMEGA * frame.index) / OMEGA).max()
+        )
+
+    assert np.log2(error(0.05) / error(0.025)) == pytest.approx(order, abs=0.1)
+
+
 def test_iterated_coupling_agrees_with_itself(run: Run, oscillator: System) -> None:
     """Fixed point with Aitken's factor and Newton solve the same equations: equal to the iteration's tolerance."""
     a, b = (run(oscillator, 0.1, algorithm=name).frame() for name in ("iterated", "newton"))
@@ -144,6 +167,35 @@ def test_nonlinear_loop(run: Run, built: Callable[[Component], Path]) -> None:
     a, b = result.last["a.y"], result.last["b.y"]
     assert a == pytest.approx(0.5 * b + 1.0 + 0.8 * np.sin(b), rel=1e-10)
     assert b == pytest.approx(-1.5 * a + 1.0, rel=1e-10)
+
+
+def test_loops_of_small_quantities_are_solved_too(run: Run, built: Callable[[Component], Path]) -> None:
+    """Tolerances refer to the nominal that an FMU declares."""
+    c = Component("small", "A gain of small quantities")
+    slope, intercept = (
+        c.parameter("slope", -0.9, description="slope"),
+        c.parameter("intercept", 1e-6, description="intercept"),
+    )
+    u = c.input("u", nominal=1e-6, description="input")
+    c.output("y", slope * u + intercept, nominal=1e-6, description="output")
+    result = run(loop(built(c), {}, {"intercept": 2e-6}), 0.1, stop=0.2)
+    assert result.last["a.y"] == pytest.approx((1e-6 - 0.9 * 2e-6) / (1.0 - 0.81), rel=1e-4)
+
+
+@pytest.mark.parametrize("algorithm", ["gauss-seidel", "newton"])
+def test_a_loop_whose_gain_grows(run: Run, built: Callable[[Component], Path], algorithm: str) -> None:
+    """y_a = t y_b + 1, y_b = -2 t y_a + 2: the Jacobian is renewed when it no longer serves."""
+    c = Component("growing", "A gain that grows with time")
+    slope, intercept = (
+        c.parameter("slope", 1.0, description="rate"),
+        c.parameter("intercept", 1.0, description="offset"),
+    )
+    u, clock = c.input("u", description="input"), c.state("clock", unit="s", description="time")
+    c.derivative(clock, 1.0)
+    c.output("y", slope * clock * u + intercept, description="output")
+    frame = run(loop(built(c), {}, {"slope": -2.0, "intercept": 2.0}), 0.05, stop=4.0, algorithm=algorithm).frame()
+    t = frame.index.to_numpy()
+    np.testing.assert_allclose(frame["a.y"], (1.0 + 2.0 * t) / (1.0 + 2.0 * t**2), atol=2e-5)  # the loops' tolerance
 
 
 def test_loop_without_solution_is_refused_with_its_path(run: Run, built: Callable[[Component], Path]) -> None:
@@ -246,6 +298,21 @@ def test_steps_with_a_shock_are_halved(run: Run, built: Callable[[Component], Pa
     assert errors[1] < 0.1 * errors[0], errors
     # Momentum: only the shock's step is repeated, the other steps stay as they are given.
     assert len(halved.frame()) == len(plain.frame())
+
+
+def test_steps_are_not_halved_where_a_component_cannot_follow(
+    run: Run, built: Callable[[Component], Path], oscillator: System, tmp_path: Path
+) -> None:
+    from .cosim_fmus import probe
+
+    both = {"energy_tolerance": 1e-6, "rates": {"damper": 2.0}}
+    with pytest.raises(CosimError, match=r"no mechanical port to judge steps by; set it to 0"):
+        run(oscillator, 0.1, **both)
+    parts = (*oscillator.components, ComponentInstance("p", probe(tmp_path)))
+    foreign = System("foreign", parts, oscillator.connections, ports=oscillator.ports)
+    with pytest.raises(CosimError, match=r"p: probe\.fmu cannot save its state.*set it to 0"):
+        run(foreign, 0.1, energy_tolerance=1e-6)
+    assert len(run(foreign, 0.1, energy_tolerance=None).frame()) == 101  # by default it then runs without
 
 
 def test_what_cannot_go_back_is_not_iterated(run: Run, built: Callable[[Component], Path], tmp_path: Path) -> None:

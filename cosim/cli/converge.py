@@ -16,7 +16,7 @@ from cosim.case import LoadCase, read_case
 from cosim.cli.console import Format, FormatOption, count_progress, emit, out
 from cosim.cli.run import MAIN_CHANNELS, Changes, Prepared, SeedOption, SetOption, free_path, prepare
 from cosim.convergence import SCHEMES, Scheme, settled, steps_of, study
-from cosim.errors import CosimError, RunFailed
+from cosim.errors import CosimError, RunFailed, nearest
 from cosim.recording import new_folder, read_results
 from cosim.run import simulate
 
@@ -44,6 +44,8 @@ def converge(
     quiet = output is Format.JSON
     chosen = read_case(case)
     steps = steps_of(chosen.step if step is None else step, halvings)
+    if not 0.0 <= transient < until:
+        raise CosimError(f"--transient {transient:g} s must be at least 0 and before the end of the runs, {until:g} s")
     target = new_folder(folder or free_path(Path("runs") / f"{chosen.name}-convergence"))
     changes = Changes(set=set_ or (), seed=seed, until=until)
     names = [c.strip() for c in channels.split(",")]
@@ -52,9 +54,12 @@ def converge(
         reference = _run(chosen, damper, replace(changes, monolithic=True), steps[0], steps[0], target / "monolithic")
         assert reference is not None
         progress.advance(task)
+        for name in names:
+            if name not in reference.columns and channels != ",".join(MAIN_CHANNELS):
+                raise CosimError(f"--channels: the case has no channel '{name}'{nearest(name, reference.columns)}")
         names = [n for n in names if n in reference.columns and reference[n].std() > 0.0]
         if not names:
-            raise CosimError(f"the case has none of the channels {channels} that moves; name others with --channels")
+            raise CosimError(f"none of the channels {channels} moves in this case; name others with --channels")
 
         def one(job: tuple[Scheme, float]) -> pd.DataFrame | None:
             scheme, h = job
@@ -83,11 +88,14 @@ def _run(
     prepared: Prepared = prepare(case, damper, replace(changes, step=step), quiet=True)
     settings = replace(prepared.settings, decimation=round(coarsest / step), transient=0.0)
     try:
-        return read_results(simulate(prepared.system, settings, folder).folder)
+        result = simulate(prepared.system, settings, folder)
     except RunFailed:
         if changes.monolithic:
             raise
         return None
+    if result.status == "stopped":
+        raise KeyboardInterrupt
+    return read_results(result.folder)
 
 
 def _show(table: pd.DataFrame, steps: list[float]) -> None:

@@ -237,7 +237,7 @@ def _rate(item: str) -> tuple[str, float]:
     component, text = _pair(item, "--rate", "COMPONENT=2 or COMPONENT=1/2")
     try:
         return component, float(Fraction(text))
-    except (ValueError, ZeroDivisionError) as error:
+    except (ValueError, ZeroDivisionError, OverflowError) as error:
         raise CosimError(f"--rate {item}: '{text}' is no number; write it as COMPONENT=2 or COMPONENT=1/2") from error
 
 

@@ -1,4 +1,4 @@
-"""The compiled stepping kernel: built once per machine from kernel.c, loaded with ctypes."""
+"""The compiled stepping kernel: built once per machine from C, loaded with ctypes."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ class PlanStruct(Structure):
         *((name, c_int64) for name in ("steps_done", "decimation")),
         *((name, c_int32) for name in ("order", "scheme")),
         *((name, c_double) for name in ("tolerance", "energy_tolerance", "time", "last")),
-        *((name, c_int32) for name in ("history", "slow", "timed", "depth")),
+        *((name, c_int32) for name in ("history", "reversible", "slow", "timed", "depth")),
         *((name, c_int64) for name in ("attempts", "rejected", "iterations", "sweeps")),
         *((name, c_int32) for name in ("cause", "failed_member", "failed_value", "status")),
         ("failed_number", c_double),

@@ -21,7 +21,7 @@ static int sweep(Plan *p, const double *used)
         if (!m->stale) continue;
         const double begin = p->timed ? seconds_now() : 0.0;
         present_inputs(p, m);
-        const int32_t end = m->first_input + m->inputs[REALS];
+        const int32_t end = m->first_input + m->inputs[REALS] + m->inputs[INTEGERS] + m->inputs[BOOLEANS];
         for (int32_t j = 0; j < p->n_backward; ++j)
             if (p->backward[j] >= m->first_input && p->backward[j] < end) p->value[p->backward[j]] = used[j];
         if (!set_member(p, k) || !read_member(p, k, p->now)) return 0;
@@ -37,6 +37,13 @@ double scale_of(const Plan *p, int32_t input, double value)
     return fabs(value) > nominal ? fabs(value) : nominal;
 }
 
+/* Whether a component takes part in loops as they are solved now: in an exchange, or in an iteration. */
+static int in_loops(const Plan *p, int32_t member)
+{
+    const Member *m = &p->members[member];
+    return m->stale || (p->scheme == NEWTON && m->iterated);
+}
+
 /* Response of the inputs on loops to a change of each of them, by the FMUs' directional derivatives. */
 static int directional_column(Plan *p, int32_t column)
 {
@@ -48,7 +55,7 @@ static int directional_column(Plan *p, int32_t column)
         Member *m = &p->members[k];
         const int32_t n = m->inputs[REALS], first = m->first_input;
         int moved = 0;
-        if (!m->stale) continue;
+        if (!in_loops(p, k)) continue;
         for (int32_t i = first; i < first + n; ++i) {
             if (i == p->tear[column]) moved = 1;
             else if (p->owner[p->source[i]] < k) du[i] = p->factor[i] * dy[p->source[i]];
@@ -85,12 +92,21 @@ static int difference_column(Plan *p, int32_t column, const double *base)
     return 1;
 }
 
+static int is_backward(const Plan *p, int32_t input)
+{
+    for (int32_t j = 0; j < p->n_backward; ++j)
+        if (p->backward[j] == input) return 1;
+    return 0;
+}
+
 int find_jacobian(Plan *p, const double *base)
 {
     int by_derivatives = 1;
-    for (int32_t k = 0; k < p->n_members; ++k) by_derivatives &= !p->members[k].stale || p->members[k].directional != NULL;
-    for (int32_t column = 0; column < p->n_tear; ++column)
-        if (p->members[p->target[p->tear[column]]].stale && !(by_derivatives ? directional_column(p, column) : difference_column(p, column, base))) return 0;
+    for (int32_t k = 0; k < p->n_members; ++k) by_derivatives &= !in_loops(p, k) || p->members[k].directional != NULL;
+    for (int32_t column = 0; column < p->n_tear; ++column) {
+        if (by_derivatives && in_loops(p, p->target[p->tear[column]]) && !directional_column(p, column)) return 0;
+        if (!by_derivatives && base && is_backward(p, p->tear[column]) && !difference_column(p, column, base)) return 0;
+    }
     p->jacobian_known = 1;
     p->jacobian_attempts = p->attempts;
     p->gain = 0.0;
@@ -163,7 +179,7 @@ int exchange(Plan *p)
             const int32_t input = p->backward[j];
             const double given = present(p, input), error = fabs(given - used[j]) / scale_of(p, input, given);
             residual[j] = given - used[j];
-            if (!(error <= largest)) {
+            if (!(error <= largest) && !isnan(largest)) {
                 largest = error;
                 worst = input;
             }
@@ -183,13 +199,19 @@ int exchange(Plan *p)
 
 /* The same for the values that a step gave, before anything sampled at its end counts: loops of strong gain amplify the
  * error of extrapolated inputs, and slopes taken from such values would make it grow from step to step. */
-int exchange_left(Plan *p)
+int exchange_left(Plan *p, double h)
 {
     double *left = p->mid, *now = p->now;
     if (p->scheme != SINGLE_PASS || p->order == 0 || p->gain < STRONG) return 1;
     memcpy(left, p->next, (size_t)p->n_values * sizeof *left);
     for (int32_t i = 0; i < p->n_inputs; ++i)
         if (p->mode[i] == HELD) left[p->source[i]] = now[p->source[i]];
+    for (int32_t k = 0; p->slow && k < p->n_members; ++k) { /* what steps at multiples: as it is at the end of this step */
+        Member *m = &p->members[k];
+        const size_t first = (size_t)m->first_read, n = (size_t)(m->reads[REALS] + m->reads[INTEGERS] + m->reads[BOOLEANS]);
+        if (m->phase + 1 < m->every) memcpy(left + first, now + first, n * sizeof *left);
+        m->age = m->phase + 1 < m->every ? h * (m->phase + 1) : 0.0;
+    }
     p->now = left;
     const int fine = exchange(p);
     p->now = now;

@@ -9,7 +9,7 @@
 
 #include <math.h>
 
-enum { MOST_ITERATIONS = 40 };
+enum { MOST_ITERATIONS = 40, PATIENCE = 5 };
 
 /* Parabola of an input over the step from its values at the start, the middle and the end. */
 static void parabola(Plan *p, int32_t input, double start, double middle, double end, double h)
@@ -69,7 +69,7 @@ static double residuals(Plan *p, double *middle, double *end, int32_t *worst)
         middle[j] = m - p->mid_used[j];
         end[j] = e - p->end_used[j];
         const double error = (fabs(middle[j]) + fabs(end[j])) / scale_of(p, i, e);
-        if (!(error <= largest)) {
+        if (!(error <= largest) && !isnan(largest)) {
             largest = error;
             *worst = i;
         }
@@ -105,12 +105,16 @@ int iterate(Plan *p, double h)
     }
     int done = 0;
     for (int i = 0; i < MOST_ITERATIONS && !done; ++i) {
-        if (!pass(p, h, i == 0)) return 0;
+        if (!pass(p, h, i == 0)) {
+            if (p->cause == NOT_FINITE && worst >= 0) break; /* diverged: the iteration's fault, not the component's */
+            return 0;
+        }
         p->iterations += 1;
         const double error = residuals(p, middle, end, &worst);
         if (!(error > p->tolerance)) {
             done = 1;
         } else if (p->scheme == NEWTON && p->jacobian_known) {
+            if (i % PATIENCE == PATIENCE - 1 && p->n_tear > 0 && !find_jacobian(p, NULL)) return 0;
             correct(p, p->late_tear, p->n_late, p->mid_used, middle);
             correct(p, p->late_tear, p->n_late, p->end_used, end);
         } else {

@@ -98,12 +98,30 @@ static int halve(Plan *p)
     return 1;
 }
 
+/* The first step has none before it to extrapolate from: it is taken twice, once to find the slopes. */
+static int rehearse(Plan *p)
+{
+    if (p->history > 0 || p->order == 0 || !p->reversible) return 1;
+    const double h = part(p);
+    p->time = p->start;
+    for (int32_t k = 0; k < p->n_members; ++k)
+        if (!save_member(p, k)) return 0;
+    if (!attempt(p, h)) return 0;
+    for (int32_t k = 0; k < p->n_members; ++k) {
+        const Member *m = &p->members[k];
+        for (int32_t v = m->first_read; v < m->first_read + m->derived; ++v) p->slope[v] = (p->next[v] - p->now[v]) / h;
+        if (!restore_member(p, k)) return 0;
+    }
+    return 1;
+}
+
 /* One communication step: in one piece or, where the energy at the ports demands it, in halves of halves. */
 static int whole_step(Plan *p)
 {
     p->timed = p->steps_done % TIMED_EVERY == 0;
     const double begin = p->start + (double)p->steps_done * p->step;
     const int64_t whole = (int64_t)1 << DEEPEST;
+    if (!rehearse(p)) return 0;
     for (int64_t done = 0; done < whole;) {
         double error = 0.0;
         p->time = begin + p->step * ((double)done / (double)whole);
@@ -114,7 +132,7 @@ static int whole_step(Plan *p)
             if (error <= p->energy_tolerance || p->depth == DEEPEST) break;
             if (!halve(p)) return 0;
         }
-        if (!exchange_left(p)) return 0;
+        if (!exchange_left(p, part(p))) return 0;
         accept(p, part(p));
         done += whole >> p->depth;
         p->time = begin + p->step * ((double)done / (double)whole);

@@ -125,6 +125,7 @@ typedef struct {
     /* state of the stepping */
     double time, last; /* reached; length of the step before */
     int32_t history;   /* steps before, up to 2 */
+    int32_t reversible; /* every member can go back */
     int32_t slow;      /* some component steps at multiples only */
     int32_t timed;     /* the time spent in each member is measured in this step */
     int32_t depth;     /* the present step is step / 2^depth */
@@ -138,7 +139,7 @@ int fail(Plan *p, int32_t member, int32_t cause, int32_t value, fmi2Status statu
 int bad(fmi2Status status);
 double seconds_now(void);
 
-/* member.c */
+/* member.c (these names are not exported: libc has an `advance` of its own) */
 int set_member(Plan *p, int32_t member);
 int read_member(Plan *p, int32_t member, double *y);
 int check_member(Plan *p, int32_t member, const double *y);
@@ -167,7 +168,7 @@ void accept_values(Plan *p, double h);
 
 /* exchange.c */
 int exchange(Plan *p);
-int exchange_left(Plan *p);
+int exchange_left(Plan *p, double h);
 void correct(Plan *p, const int32_t *place, int32_t n, double *used, const double *residual);
 double scale_of(const Plan *p, int32_t input, double value);
 int find_jacobian(Plan *p, const double *base);

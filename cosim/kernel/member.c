@@ -112,7 +112,7 @@ int advance(Plan *p, int32_t member, double time, double span)
         if (!set_member(p, member)) return 0;
         for (int32_t i = first; i < end; ++i) p->value[i] = kept[i - first];
     }
-    const int final = p->energy_tolerance == 0.0 && p->scheme == SINGLE_PASS;
+    const int final = p->energy_tolerance == 0.0 && p->scheme == SINGLE_PASS && (p->history > 0 || !p->reversible);
     fmi2Status s = m->do_step(m->instance, time, span, final ? fmi2True : fmi2False);
     if (bad(s)) return fail(p, member, STEP_FAILED, -1, s);
     shift(p, m, span);
