@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from cosim.checks import CheckedSystem, Link
+from cosim.checks import CheckedPort, CheckedSystem, Link
 from cosim.errors import CosimError, nearest
 from cosim.fmu import FmuVariable
 from cosim.graph import algebraic_loops, stale_outputs
@@ -21,6 +21,7 @@ ITERATED = ("iterated", "newton")
 # An iterated component steps so often in half a step: its own integration is not to hide what the iteration gains.
 FINER = 2
 TYPES = ("Real", "Integer", "Boolean")
+CHANGING = (None, "continuous", "discrete")  # variabilities
 HELD, EXTRAPOLATED, INTERPOLATED = range(3)
 
 Integers = npt.NDArray[np.int32]
@@ -82,7 +83,7 @@ class Layout:
     channel: Integers
     channel_factor: Reals
     channel_offset: Reals
-    loops: tuple[str, ...] = field(default=())
+    loops: tuple[str, ...]
 
     def scales(self) -> Reals:
         """Magnitude of each value, for tolerances and limits: its nominal, 1 if none."""
@@ -107,92 +108,124 @@ def lay_out(
     Raises:
         CosimError: a rate cannot be used.
     """
-    place = {component: position for position, component in enumerate(order)}
-    every, substeps = _rates(system, rates, algorithm)
-
-    def forward(link: Link) -> bool:
-        return place[link.source] < place[link.target]
-
-    def mode(link: Link) -> int:
-        if not _varies(link):
-            return HELD
-        advanced = algorithm != "jacobi" and forward(link) and every[link.source] == 1
-        return INTERPOLATED if advanced else EXTRAPOLATED
-
+    draft = _Draft(system, order, channels, algorithm, rates)
     assumed = (HELD,) if algorithm in ITERATED else () if extrapolation == "held" else (HELD, EXTRAPOLATED)
-    stale = stale_outputs(
-        system, order, lambda k: mode(k) in assumed and k.output.variability in (None, "continuous", "discrete")
-    )
-    port_names = [port.name for port in system.ports]
-    port_pairs = [
-        (
-            port.name if port_names.count(port.name) == 1 else f"{system.names[port.component]}.{port.name}",
-            port.component,
-            *pair,
-        )
-        for port in system.ports
-        for pair in port.pairs
-    ]
-    wanted = {(k.source, k.output.name): k.output for k in system.links}
-    wanted |= {(c.component, c.variable.name): c.variable for c in channels}
-    wanted |= {(component, flow.name): flow for _, component, _, flow, _ in port_pairs}
-    reads = sorted(
-        ((c, v) for (c, _), v in wanted.items()), key=lambda r: (place[r[0]], _type(r[1]), not _continuous(r[1]))
-    )
-    number = {(c, v.name): i for i, (c, v) in enumerate(reads)}
-    links = sorted(system.links, key=lambda k: (place[k.target], _type(k.input), mode(k) == HELD))
-    input_number = {(k.target, k.input.name): i for i, k in enumerate(links)}
+    stale = stale_outputs(system, order, lambda k: draft.mode(k) in assumed and k.output.variability in CHANGING)
+    read_anew = {c for c, v in draft.reads if draft.every[c] == 1 and (c, v.name) in stale}
+    continuous = {k.source for k in draft.links if draft.mode(k) != HELD}
     loops = algebraic_loops(system)
     on_loops = frozenset[tuple[int, str]]().union(*(loop.inputs for loop in loops))
-    continuous = {k.source for k in links if mode(k) != HELD}
-    read_anew = {c for c in order if every[c] == 1 and any((c, v.name) in stale for owner, v in reads if owner == c)}
+    ports, pairs = draft.pairs()
 
-    def where(chosen: Callable[[Link], bool]) -> Integers:
-        return np.array([i for i, k in enumerate(links) if chosen(k)], dtype=np.int32)
+    def backward(chosen: Callable[[Link], bool]) -> Integers:
+        found = [i for i, k in enumerate(draft.links) if not draft.forward(k) and chosen(k)]
+        return np.array(found, dtype=np.int32)
 
-    def member(component: int) -> MemberLayout:
-        own = [k for k in links if k.target == component]
-        return MemberLayout(
-            component=component,
-            reads=_counts(v for c, v in reads if c == component),
-            inputs=_counts(k.input for k in own),
-            derived=sum(_continuous(v) for c, v in reads if c == component),
-            varying=sum(mode(k) != HELD for k in own),
-            iterated=component in continuous,
-            stale=component in read_anew,
-            every=every[component],
-            substeps=substeps[component],
-        )
-
-    ports, pairs = _pairs(port_pairs, links, mode, every, number, input_number)
     return Layout(
-        members=tuple(member(c) for c in order),
-        reads=tuple(reads),
-        inputs=tuple((k.target, k.input) for k in links),
-        owner=np.array([place[c] for c, _ in reads], dtype=np.int32),
-        target=np.array([place[k.target] for k in links], dtype=np.int32),
-        source=np.array([number[k.source, k.output.name] for k in links], dtype=np.int32),
-        mode=np.array([mode(k) for k in links], dtype=np.int32),
-        factor=np.array([k.factor for k in links], dtype=float),
-        offset=np.array([k.offset for k in links], dtype=float),
-        backward=where(
-            lambda k: (
-                k.target in read_anew
-                and k.source in read_anew
-                and (k.source, k.output.name) in stale
-                and not forward(k)
-            )
-        ),
-        every_backward=where(lambda k: not forward(k)),
-        late=where(lambda k: mode(k) != HELD and k.target in continuous and not forward(k)),
-        tear=where(lambda k: _type(k.input) == 0 and (k.target, k.input.name) in on_loops and not forward(k)),
+        members=tuple(draft.member(c, c in continuous, c in read_anew) for c in order),
+        reads=draft.reads,
+        inputs=tuple((k.target, k.input) for k in draft.links),
+        owner=np.array([draft.place[c] for c, _ in draft.reads], dtype=np.int32),
+        target=np.array([draft.place[k.target] for k in draft.links], dtype=np.int32),
+        source=np.array([draft.number[k.source, k.output.name] for k in draft.links], dtype=np.int32),
+        mode=np.array([draft.mode(k) for k in draft.links], dtype=np.int32),
+        factor=np.array([k.factor for k in draft.links], dtype=float),
+        offset=np.array([k.offset for k in draft.links], dtype=float),
+        backward=backward(lambda k: {k.source, k.target} <= read_anew and (k.source, k.output.name) in stale),
+        every_backward=backward(lambda k: True),
+        late=backward(lambda k: draft.mode(k) != HELD and k.target in continuous),
+        tear=backward(lambda k: _type(k.input) == 0 and (k.target, k.input.name) in on_loops),
         ports=ports,
         pairs=pairs,
-        channel=np.array([number[c.component, c.variable.name] for c in channels], dtype=np.int32),
+        channel=np.array([draft.number[c.component, c.variable.name] for c in channels], dtype=np.int32),
         channel_factor=np.array([c.factor for c in channels], dtype=float),
         channel_offset=np.array([c.offset for c in channels], dtype=float),
         loops=tuple(loop.path for loop in loops),
     )
+
+
+class _Draft:
+    """A system in stepping order: what is read and set, in the order of the kernel's arrays, and when it is known.
+
+    Attributes:
+        place: position of each component. every, substeps: its rate.
+        links: sorted by member, type, and whether they vary; reads: by member, type, and continuous outputs first.
+        number: index of each value.
+    """
+
+    def __init__(
+        self,
+        system: CheckedSystem,
+        order: Sequence[int],
+        channels: Sequence[SelectedChannel],
+        algorithm: Algorithm,
+        rates: Mapping[str, float],
+    ) -> None:
+        self.system, self.algorithm = system, algorithm
+        self.place = place = {component: position for position, component in enumerate(order)}
+        self.every, self.substeps = _rates(system, rates, algorithm)
+        wanted = {(k.source, k.output.name): k.output for k in system.links}
+        wanted |= {(c.component, c.variable.name): c.variable for c in channels}
+        wanted |= {(port.component, flow.name): flow for port in system.ports for _, flow, _ in port.pairs}
+        values = ((c, v) for (c, _), v in wanted.items())
+        self.reads = tuple(sorted(values, key=lambda r: (place[r[0]], _type(r[1]), not _continuous(r[1]))))
+        self.number = {(c, v.name): i for i, (c, v) in enumerate(self.reads)}
+        self.links = sorted(system.links, key=lambda k: (place[k.target], _type(k.input), self.mode(k) == HELD))
+
+    def forward(self, link: Link) -> bool:
+        """Whether the source comes first in the order."""
+        return self.place[link.source] < self.place[link.target]
+
+    def mode(self, link: Link) -> int:
+        """What the target sees of the source over a step."""
+        if not _varies(link):
+            return HELD
+        advanced = self.algorithm != "jacobi" and self.forward(link) and self.every[link.source] == 1
+        return INTERPOLATED if advanced else EXTRAPOLATED
+
+    def member(self, component: int, iterated: bool, stale: bool) -> MemberLayout:
+        own = [k for k in self.links if k.target == component]
+        return MemberLayout(
+            component=component,
+            reads=_counts(v for c, v in self.reads if c == component),
+            inputs=_counts(k.input for k in own),
+            derived=sum(_continuous(v) for c, v in self.reads if c == component),
+            varying=sum(self.mode(k) != HELD for k in own),
+            iterated=iterated,
+            stale=stale,
+            every=self.every[component],
+            substeps=self.substeps[component],
+        )
+
+    def pairs(self) -> tuple[tuple[str, ...], tuple[tuple[int, int, int, int, int], ...]]:
+        """Ports that can be measured, and their pairs: their effort varies, and both ends step in each step."""
+        at = {(k.target, k.input.name): i for i, k in enumerate(self.links)}
+        names: list[str] = []
+        found: list[tuple[int, int, int, int, int]] = []
+        for port in self.system.ports:
+            for effort, flow, position in port.pairs:
+                i = at.get((port.component, effort.name))
+                if i is None or not self._measurable(self.links[i]):
+                    continue
+                label = self._label(port)
+                names += [label] if label not in names else []
+                ends = (port.component, self.links[i].source)
+                feeds = {
+                    k.output.name: j for j, k in enumerate(self.links)
+                    if (k.source, k.target) == ends and self.mode(k) != HELD and k.factor != 0.0
+                }  # fmt: skip
+                used = feeds.get(flow.name, feeds.get(position, -1))
+                value = self.number[port.component, flow.name]
+                found.append((names.index(label), i, value, used, int(flow.name not in feeds)))
+        return tuple(names), tuple(found)
+
+    def _measurable(self, link: Link) -> bool:
+        each_step = self.every[link.target] == self.every[link.source] == 1
+        return each_step and self.mode(link) != HELD and link.factor != 0.0
+
+    def _label(self, port: CheckedPort) -> str:
+        unique = [p.name for p in self.system.ports].count(port.name) == 1
+        return port.name if unique else f"{self.system.names[port.component]}.{port.name}"
 
 
 def _varies(link: Link) -> bool:
@@ -225,35 +258,6 @@ def _rates(
             )
         every[k], substeps[k] = (multiple, substeps[k]) if rate >= 1.0 else (1, substeps[k] * fraction)
     return every, substeps
-
-
-def _pairs(
-    port_pairs: Sequence[tuple[str, int, FmuVariable, FmuVariable, str]],
-    links: Sequence[Link],
-    mode: Any,
-    every: Mapping[int, int],
-    number: Mapping[tuple[int, str], int],
-    input_number: Mapping[tuple[int, str], int],
-) -> tuple[tuple[str, ...], tuple[tuple[int, int, int, int, int], ...]]:
-    """Ports that can be measured, and their pairs: those whose effort varies and both of whose ends step each step."""
-    chosen = []
-    for name, component, effort, flow, position in port_pairs:
-        at = input_number.get((component, effort.name))
-        if at is None or mode(links[at]) == HELD or max(every[component], every[links[at].source]) > 1:
-            continue
-        if 0.0 in (
-            links[at].factor,
-            *(k.factor for k in links if k.source == component and k.target == links[at].source),
-        ):
-            continue
-        feeds = {
-            k.output.name: i for i, k in enumerate(links)
-            if (k.source, k.target) == (component, links[at].source) and mode(k) != HELD
-        }  # fmt: skip
-        used = feeds.get(flow.name, feeds.get(position, -1))
-        chosen.append((name, at, number[component, flow.name], used, int(flow.name not in feeds)))
-    names = tuple(dict.fromkeys(c[0] for c in chosen))
-    return names, tuple((names.index(n), at, flow, used, rate) for n, at, flow, used, rate in chosen)
 
 
 def _counts(variables: Any) -> tuple[int, int, int]:

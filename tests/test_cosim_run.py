@@ -48,7 +48,7 @@ def test_integers_pass_exactly(probe_fmu: Path, tmp_path: Path, algorithm: Any) 
 
 
 def test_integers_against_the_order_settle_at_the_start(probe_fmu: Path, tmp_path: Path) -> None:
-    """A chain of switches, each the opposite of the next, stepped from its end: what one sweep misses the next finds."""
+    """A chain of switches, each the opposite of the next, stepped from its end: one sweep does not settle it."""
     parts = tuple(ComponentInstance(k, probe_fmu, {"gate": StartValue(k == "d")}) for k in "abcd")
     links = tuple(Connection(k, "open", n, "gate") for k, n in zip("dcb", "cba", strict=True))
     settings = RunSettings(stop=0.1, step=0.1, record=("*.open",), order=("a", "b", "c", "d"))
