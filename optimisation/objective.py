@@ -6,10 +6,10 @@ import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal, cast, get_args
+from typing import Any, Literal, Self, cast, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -52,13 +52,14 @@ class Design:
         damper: arrangement.
         variables: in the order of a candidate's values.
         switches: which dampers are there.
-        paper_fitness: of the published optimum, m (table 4).
+        paper_fitness, paper_parameters: of the published optimum (table 4); m, and in the order of `variables`.
     """
 
     damper: DamperName
     variables: tuple[DesignVariable, ...]
     switches: dict[str, float]
     paper_fitness: float
+    paper_parameters: tuple[float, ...]
 
 
 def design(damper: str) -> Design:
@@ -67,8 +68,12 @@ def design(damper: str) -> Design:
     Raises:
         ValueError: no such arrangement.
     """
-    fitness = {"tmd-n": 0.4881, "tmd-p": 0.3863, "mtmd": 0.3735}
-    if damper not in fitness:
+    published = {
+        "tmd-n": (0.4881, (6302.0, 1598.0)),
+        "tmd-p": (0.3863, (53_565.0, 13_839.0)),
+        "mtmd": (0.3735, (7653.0, 4013.0, 52_597.0, 11_911.0)),
+    }
+    if damper not in published:
         raise ValueError(f"unknown damper '{damper}': choose one of {', '.join(get_args(DamperName))}")
     places = {"nacelle_damper": (50_000.0, damper != "tmd-p"), "platform_damper": (200_000.0, damper != "tmd-n")}
     variables = tuple(
@@ -78,7 +83,25 @@ def design(damper: str) -> Design:
         for name, unit in (("k", "N/m"), ("c", "N.s/m"))
     )
     switches = {f"{place}.active": float(present) for place, (_, present) in places.items()}
-    return Design(cast(DamperName, damper), variables, switches, fitness[damper])
+    return Design(cast(DamperName, damper), variables, switches, *published[damper])
+
+
+def with_bounds(task: Design, bounds: Mapping[str, tuple[float, float]]) -> Design:
+    """The design with other bounds of its variables, by name.
+
+    Raises:
+        ValueError: no such variable, or the bounds are not finite, at least 0 and ascending.
+    """
+    names = [v.name for v in task.variables]
+    for name, (lower, upper) in bounds.items():
+        if name not in names:
+            raise ValueError(f"bounds of '{name}': {task.damper} is tuned by {', '.join(names)}")
+        if not (np.isfinite(upper) and 0.0 <= lower < upper):
+            raise ValueError(f"bounds of {name}, {lower:g}:{upper:g}: give 0 <= LOW < HIGH")
+    variables = tuple(
+        replace(v, lower=bounds[v.name][0], upper=bounds[v.name][1]) if v.name in bounds else v for v in task.variables
+    )
+    return replace(task, variables=variables)
 
 
 class TowerTopDeviation:
@@ -95,11 +118,14 @@ class TowerTopDeviation:
         workers: threads.
 
     Attributes:
+        shape: of a candidate's fitness.
         first_failure: message of the first candidate that could not be evaluated, or None.
 
     Raises:
         ValueError: the FMU lacks one of the variables, or is no co-simulation FMU.
     """
+
+    shape: tuple[int, ...] = ()
 
     def __init__(
         self,
@@ -129,7 +155,7 @@ class TowerTopDeviation:
         self._callbacks = _collecting(self._messages)
         self._slaves: list[Any] = [self._instantiate() for _ in range(workers)]
 
-    def __enter__(self) -> TowerTopDeviation:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(
@@ -145,16 +171,17 @@ class TowerTopDeviation:
         shutil.rmtree(self._folder, ignore_errors=True)
 
     def __call__(self, candidates: Array) -> Array:
-        """Fitness in m, shape (n,), of candidates of shape (n, variables); nan where the simulation failed."""
+        """Fitness in m, shape (n, *shape), of candidates of shape (n, variables); nan where the simulation failed."""
         parts = np.array_split(np.arange(len(candidates)), self._workers)
 
-        def part(worker: int) -> list[float]:
-            return [self._evaluate(worker, candidates[i]) for i in parts[worker]]
+        def part(worker: int) -> Array:
+            found = [self._evaluate(worker, candidates[i]) for i in parts[worker]]
+            return np.array(found, dtype=float).reshape(-1, *self.shape)
 
         if self._workers == 1:
-            return np.array(part(0))
+            return part(0)
         with ThreadPoolExecutor(self._workers) as pool:
-            return np.concatenate([np.array(p) for p in pool.map(part, range(self._workers))])
+            return np.concatenate(list(pool.map(part, range(self._workers))))
 
     def _instantiate(self) -> Any:
         description = self._description
@@ -167,7 +194,7 @@ class TowerTopDeviation:
         slave.instantiate(callbacks=self._callbacks)
         return slave
 
-    def _evaluate(self, worker: int, candidate: Array) -> float:
+    def _evaluate(self, worker: int, candidate: Array) -> Any:
         slave = self._slaves[worker]
         values = self.fixed | dict(zip(self.names, candidate.tolist(), strict=True))
         try:
@@ -176,19 +203,22 @@ class TowerTopDeviation:
             slave.setupExperiment(startTime=0.0, stopTime=self.horizon)
             slave.enterInitializationMode()
             slave.exitInitializationMode()
-            slave.doStep(currentCommunicationPoint=0.0, communicationStepSize=self.horizon)
-            fitness = float(slave.getReal([self._known[FITNESS].valueReference])[0])
-            problem = None if np.isfinite(fitness) else f"{FITNESS} = {fitness}"
+            fitness = self._simulate(slave)
+            problem = None if np.isfinite(fitness).all() else f"{FITNESS} = {fitness}"
         except FMICallException as error:
             # a failed instance is replaced, as FMI promises little about its state; a fatal one must not be touched
             if error.status != fmi2Fatal:
                 slave.freeInstance()
             self._slaves[worker] = self._instantiate()
-            fitness, problem = float("nan"), self._messages[-1] if self._messages else str(error)
+            fitness, problem = np.full(self.shape, np.nan), self._messages[-1] if self._messages else str(error)
         if problem is not None and self.first_failure is None:
             at = ", ".join(f"{n} = {v:.6g}" for n, v in values.items() if n in self.names)
             self.first_failure = f"{problem} at {at}"
         return fitness
+
+    def _simulate(self, slave: Any) -> Any:
+        slave.doStep(currentCommunicationPoint=0.0, communicationStepSize=self.horizon)
+        return float(slave.getReal([self._known[FITNESS].valueReference])[0])
 
     def _set(self, slave: Any, values: Mapping[str, float]) -> None:
         for name, value in values.items():

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+import math
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
-from optimisation.genetic import Generation
+from optimisation.checkpoint import write_atomically
 from optimisation.objective import DamperName, design
+from optimisation.polish import LocalOptimum
+from optimisation.search import Generation
+from optimisation.strategies import Method
 
 BASE_UNITS = {"N/m": {"kg": 1, "s": -2}, "N.s/m": {"kg": 1, "s": -1}}
 
@@ -18,18 +23,22 @@ class OptimisationResult:
 
     Attributes:
         damper: arrangement.
+        method: of the search.
         fitness: standard deviation of the tower-top displacement, m.
         parameters: by name, in N/m and N s/m.
         history: one entry per generation.
         evaluations: simulations run; failures: those that gave no finite fitness.
         generations: number run.
-        seconds: wall time.
+        seconds: wall time of the search.
         seed: of the random numbers.
         undamped_fitness: without any damper, m.
+        bounds: of the search, by name.
         first_failure: message, or None.
+        local_optimum: what the polish found, or None.
     """
 
     damper: DamperName
+    method: Method
     fitness: float
     parameters: dict[str, float]
     history: tuple[Generation, ...]
@@ -38,30 +47,32 @@ class OptimisationResult:
     seconds: float
     seed: int
     undamped_fitness: float
+    bounds: dict[str, tuple[float, float]]
     failures: int = 0
     first_failure: str | None = None
+    local_optimum: LocalOptimum | None = None
 
     @property
     def at_bound(self) -> tuple[str, ...]:
-        """Parameters within 1 % of the range of a bound of eq. 14: the search space limits them, not the physics."""
-        limits = {v.name: v for v in design(self.damper).variables}
+        """Parameters within 1 % of the range of a bound: the search space limits them, not the physics."""
         return tuple(
             name
             for name, value in self.parameters.items()
-            if min(value - limits[name].lower, limits[name].upper - value)
-            < 0.01 * (limits[name].upper - limits[name].lower)
+            if min(value - self.bounds[name][0], self.bounds[name][1] - value)
+            < 0.01 * (self.bounds[name][1] - self.bounds[name][0])
         )
 
     @property
     def converged_at(self) -> int:
-        """First generation whose best fitness is within 1 mm of the final one."""
-        return next(g.number for g in self.history if g.best <= self.fitness + 1e-3)
+        """First generation whose best fitness is within 1 mm of the last one's."""
+        return next(g.number for g in self.history if g.best <= self.history[-1].best + 1e-3)
 
 
 def write_json(result: OptimisationResult, path: Path) -> Path:
     """Write fitness, parameters, counts and history as JSON; SI units."""
     content = {
         "damper": result.damper,
+        "method": result.method,
         "fitness": result.fitness,
         "parameters": result.parameters,
         "evaluations": result.evaluations,
@@ -69,7 +80,9 @@ def write_json(result: OptimisationResult, path: Path) -> Path:
         "first_failure": result.first_failure,
         "generations": result.generations,
         "converged_at": result.converged_at,
+        "bounds": {name: list(limits) for name, limits in result.bounds.items()},
         "at_bound": list(result.at_bound),
+        "local_optimum": _certificate(result.local_optimum),
         "undamped_fitness": result.undamped_fitness,
         "paper_fitness": design(result.damper).paper_fitness,
         "seed": result.seed,
@@ -79,8 +92,24 @@ def write_json(result: OptimisationResult, path: Path) -> Path:
             for g in result.history
         ],
     }
-    path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
-    return path
+    # nan and inf, which a failed generation's mean may be, are no JSON
+    return write_atomically(path, json.dumps(_plain(content), indent=2, allow_nan=False) + "\n")
+
+
+def _certificate(optimum: LocalOptimum | None) -> dict[str, Any] | None:
+    if optimum is None:
+        return None
+    found = asdict(optimum)
+    del found["parameters"]
+    return found | {"smooth": optimum.smooth, "certified": optimum.certified}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: _plain(v) for k, v in value.items()}
+    if isinstance(value, list):
+        return [_plain(v) for v in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def write_ssv(result: OptimisationResult, path: Path) -> Path:
@@ -118,7 +147,9 @@ def plot_convergence(result: OptimisationResult, path: Path) -> Path:
     )
     axes.set_xlabel("generation")
     axes.set_ylabel("standard deviation of\ntower-top displacement (m)")
-    axes.set_title(f"{result.damper.upper()}: best {result.fitness:.4f} m after {result.evaluations} evaluations")
+    axes.set_title(
+        f"{result.damper.upper()}: best {result.fitness:.4f} m after {result.evaluations} evaluations ({result.method})"
+    )
     axes.grid(alpha=0.3)
     figure.legend(loc="outside lower center", ncols=2)
     figure.savefig(path, dpi=150)

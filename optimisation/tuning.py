@@ -1,85 +1,194 @@
-"""Tuning of a damper arrangement: the genetic algorithm driving the simplified model's FMU."""
+"""Tuning of a damper arrangement: a search driving the simplified model's FMU, with checkpoints."""
 
 from __future__ import annotations
 
-import time
+import math
 from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from optimisation.genetic import Generation, Operators, search
-from optimisation.objective import DamperName, TowerTopDeviation, design
+from optimisation.checkpoint import fmu_digest, resumed_record, write_checkpoint
+from optimisation.objective import DamperName, Design, TowerTopDeviation, design, with_bounds
+from optimisation.polish import LocalOptimum, polish
 from optimisation.result import OptimisationResult
+from optimisation.search import Found, Generation, Record, search
+from optimisation.strategies import Method, default_population, make_strategy
+
+Array = npt.NDArray[np.float64]
+BUDGET = 5000  # the paper's 50 generations of 100
 
 
 class OptimisationError(RuntimeError):
     """No candidate could be evaluated."""
 
 
-def optimise(
-    damper: DamperName,
+@dataclass(frozen=True)
+class Request:
+    """What is to be tuned and how; together with the FMU it determines the result.
+
+    Attributes:
+        damper: "tmd-n" (nacelle), "tmd-p" (platform) or "mtmd" (both).
+        method: see `optimisation.strategies`.
+        seed: of the random numbers.
+        population, generations, evaluations: per generation, and largest numbers; None: the method's usual population,
+            and 5000 evaluations or, if generations are given, as many as they take.
+        parameters: values of the FMU's other parameters by name, where they differ from its defaults (table 3).
+        bounds: other bounds than those of eq. 14, by name of the variable.
+        horizon: length of the free decay, s.
+    """
+
+    damper: DamperName
+    method: Method = "ga"
+    seed: int = 1
+    population: int | None = None
+    generations: int | None = None
+    evaluations: int | None = None
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    horizon: float = 100.0
+
+    def task(self) -> Design:
+        """Design variables with their bounds.
+
+        Raises:
+            ValueError: unknown damper, bad bounds, or a parameter that the search sets.
+        """
+        task = with_bounds(design(self.damper), self.bounds)
+        clash = sorted(set(self.parameters) & {*(v.name for v in task.variables), *task.switches})
+        if clash:
+            raise ValueError(f"{self.damper}: '{clash[0]}' is set by the optimisation; leave it out of the parameters")
+        return task
+
+    def resolved(self) -> Request:
+        """The request with its defaults filled in."""
+        population = self.population or default_population(self.method, len(self.task().variables))
+        evaluations, generations = self.evaluations, self.generations
+        if evaluations is None:
+            evaluations = BUDGET if generations is None else population * generations
+        if generations is None and self.method != "cma-es":  # whose population grows
+            generations = evaluations // population
+        return replace(self, population=population, evaluations=evaluations, generations=generations)
+
+    def problem(self, fmu: Path) -> dict[str, Any]:
+        """What determines the result, as JSON: the identity of a checkpoint."""
+        bounds = {v.name: [v.lower, v.upper] for v in self.task().variables}
+        return asdict(self.resolved()) | {"bounds": bounds, "fmu": fmu_digest(fmu)}
+
+
+def optimise(damper: DamperName, fmu: Path, *, seed: int, **options: Any) -> OptimisationResult:
+    """`tune` with the fields of `Request` as keywords."""
+    names = {f.name for f in fields(Request)}
+    settings = {name: options.pop(name) for name in names & set(options)}
+    return tune(Request(damper, seed=seed, **settings), fmu, **options)
+
+
+def tune(
+    request: Request,
     fmu: Path,
     *,
-    seed: int,
-    population: int = 100,
-    generations: int = 50,
-    parameters: Mapping[str, float] | None = None,
-    horizon: float = 100.0,
     workers: int = 1,
     progress: Callable[[Generation], None] | None = None,
+    checkpoint: Path | None = None,
+    resume: bool = False,
+    local: bool = False,
 ) -> OptimisationResult:
     """Find the stiffness and damping that minimise the tower-top displacement's standard deviation (eqs. 13, 14).
 
     Args:
-        damper: "tmd-n" (nacelle), "tmd-p" (platform) or "mtmd" (both).
+        request: what to tune and how.
         fmu: the simplified model's FMU.
-        parameters: values of its other parameters by name, where they differ from its defaults (table 3).
-        horizon: length of the free decay, s.
         workers: threads; the result does not depend on it.
         progress: called after each generation.
+        checkpoint: file written after each generation; resume: continue from it.
+        local: polish the best point found and certify it, see `optimisation.polish`.
 
     Raises:
-        ValueError: unknown damper, or the FMU lacks a variable.
+        ValueError: unknown damper, bad bounds, the FMU lacks a variable, or the checkpoint is of another problem.
         OptimisationError: every candidate failed; carries the first failure's message.
     """
-    began = time.perf_counter()
-    task = design(damper)
+    request = request.resolved()
+    damper, task = request.damper, request.task()
     names = tuple(v.name for v in task.variables)
-    clash = sorted(set(parameters or {}) & {*names, *task.switches})
-    if clash:
-        raise ValueError(f"{damper}: '{clash[0]}' is set by the optimisation; leave it out of the parameters")
-    fixed = dict(parameters or {}) | task.switches
-    with TowerTopDeviation(fmu, names, fixed, horizon=horizon, workers=workers) as objective:
-        history = search(
-            objective,
-            np.array([v.lower for v in task.variables]),
-            np.array([v.upper for v in task.variables]),
-            seed=seed,
-            operators=Operators(population=population, generations=generations),
-            progress=progress,
-        )
+    fixed = dict(request.parameters) | task.switches
+    with TowerTopDeviation(fmu, names, fixed, horizon=request.horizon, workers=workers) as objective:
+        found = run_search(request, fmu, objective, progress=progress, checkpoint=checkpoint, resume=resume)
+        last = found.generations[-1]
+        if not np.isfinite(last.best):
+            raise OptimisationError(
+                f"{damper}: all {last.evaluations} evaluations failed; the first: {objective.first_failure}"
+            )
+        optimum: LocalOptimum | None = None
+        if local:
+            optimum = polish(objective, *bounds_of(task), np.array(last.parameters))
         failure = objective.first_failure
-    last = history[-1]
-    if not np.isfinite(last.best):
-        raise OptimisationError(f"{damper}: all {last.evaluations} evaluations failed; the first: {failure}")
+    best = last if optimum is None else optimum
     return OptimisationResult(
         damper=damper,
-        fitness=last.best,
-        parameters=dict(zip(names, last.parameters, strict=True)),
-        history=tuple(history),
-        evaluations=last.evaluations,
+        method=request.method,
+        fitness=last.best if optimum is None else optimum.fitness,
+        parameters=dict(zip(names, best.parameters, strict=True)),
+        history=found.generations,
+        evaluations=last.evaluations + (optimum.evaluations if optimum else 0),
         generations=last.number,
-        seconds=time.perf_counter() - began,
-        seed=seed,
-        undamped_fitness=undamped_fitness(fmu, parameters, horizon=horizon),
+        seconds=found.seconds,
+        seed=request.seed,
+        undamped_fitness=undamped_fitness(fmu, request.parameters, horizon=request.horizon),
+        bounds={v.name: (v.lower, v.upper) for v in task.variables},
         failures=last.failures,
         first_failure=failure,
+        local_optimum=optimum,
     )
+
+
+def run_search(
+    request: Request,
+    fmu: Path,
+    objective: TowerTopDeviation,
+    *,
+    progress: Callable[[Generation], None] | None,
+    checkpoint: Path | None,
+    resume: bool,
+) -> Found:
+    """Search by a resolved request's method, saving after each generation, and continuing if asked to; raises as
+    `optimise`."""
+    problem = request.problem(fmu)
+    record: Record | None = None
+    if resume:
+        if checkpoint is None:
+            raise ValueError("a search is resumed from a checkpoint: give one")
+        record = resumed_record(checkpoint, problem)
+        objective.first_failure = record.first_failure
+
+    def save(done: Record) -> None:
+        if checkpoint is not None:
+            write_checkpoint(checkpoint, problem, replace(done, first_failure=objective.first_failure))
+
+    assert request.population is not None
+    assert request.evaluations is not None
+    lower, upper = bounds_of(request.task())
+    return search(
+        objective,
+        make_strategy(request.method, lower, upper, population=request.population, seed=request.seed),
+        evaluations=request.evaluations,
+        generations=request.generations,
+        record=record,
+        save=save,
+        progress=progress,
+    )
+
+
+def bounds_of(task: Design) -> tuple[Array, Array]:
+    """Lower and upper bounds of the design variables, shapes (variables,)."""
+    return np.array([v.lower for v in task.variables]), np.array([v.upper for v in task.variables])
 
 
 def undamped_fitness(fmu: Path, parameters: Mapping[str, float] | None = None, *, horizon: float = 100.0) -> float:
     """Fitness without any damper, m."""
     absent = {"nacelle_damper.active": 0.0, "platform_damper.active": 0.0}
     with TowerTopDeviation(fmu, (), dict(parameters or {}) | absent, horizon=horizon) as objective:
-        return float(objective(np.zeros((1, 0)))[0])
+        value = float(objective(np.zeros((1, 0)))[0])
+    return value if math.isfinite(value) else float("nan")

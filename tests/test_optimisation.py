@@ -14,9 +14,9 @@ from pyssp_standard.ssv import SSV
 from fmus_src.component import Component
 from fmus_src.instance import Instance
 from fmus_src.simplified.model import component
-from optimisation.genetic import Generation
 from optimisation.objective import FITNESS, TowerTopDeviation, design
 from optimisation.result import OptimisationResult, plot_convergence, write_json, write_ssv
+from optimisation.search import Generation
 from optimisation.tuning import OptimisationError, optimise, undamped_fitness
 
 

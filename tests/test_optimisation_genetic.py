@@ -9,7 +9,9 @@ import pytest
 from pymoo.core.population import Population
 from scipy.stats import chisquare
 
-from optimisation.genetic import Generation, Operators, RouletteWheel, decode, roulette_shares, search
+from optimisation.genetic import Operators, RouletteWheel, decode, roulette_shares
+from optimisation.search import Generation, search
+from optimisation.strategies import make_strategy
 
 LOWER, UPPER = np.array([0.0, -2.0]), np.array([10.0, 2.0])
 
@@ -18,8 +20,13 @@ def bowl(x: np.ndarray) -> np.ndarray:
     return np.asarray((x[:, 0] - 3.0) ** 2 + 5.0 * (x[:, 1] - 1.0) ** 2 - 7.0)
 
 
+def genetic_search(objective, seed: int, population: int = 100, generations: int = 25) -> list[Generation]:  # type: ignore[no-untyped-def]
+    strategy = make_strategy("ga", LOWER, UPPER, population=population, seed=seed)
+    return list(search(objective, strategy, evaluations=population * generations, generations=generations).generations)
+
+
 def run(seed: int, **settings: int) -> list[Generation]:
-    return search(bowl, LOWER, UPPER, seed=seed, operators=Operators(**({"generations": 25} | settings)))
+    return genetic_search(bowl, seed, **settings)
 
 
 def test_roulette_shares_of_a_minimised_fitness() -> None:
@@ -79,9 +86,7 @@ def test_the_elite_is_kept() -> None:
 
 
 def test_equal_fitness_everywhere_is_no_error() -> None:
-    history = search(
-        lambda x: np.full(len(x), 0.4), LOWER, UPPER, seed=0, operators=Operators(population=10, generations=4)
-    )
+    history = genetic_search(lambda x: np.full(len(x), 0.4), seed=0, population=10, generations=4)
     assert [g.best for g in history] == [0.4] * 4
 
 
@@ -89,7 +94,7 @@ def test_failed_evaluations_are_counted_and_do_not_win() -> None:
     def partly(x: np.ndarray) -> np.ndarray:
         return np.where(x[:, 0] < 5.0, np.nan, bowl(x))
 
-    history = search(partly, LOWER, UPPER, seed=3, operators=Operators(population=30, generations=12))
+    history = genetic_search(partly, seed=3, population=30, generations=12)
     # half of the first, random generation fails: 15 +- 3 standard deviations
     assert 7 <= history[0].failures <= 23
     assert history[-1].failures > history[0].failures
@@ -99,7 +104,7 @@ def test_failed_evaluations_are_counted_and_do_not_win() -> None:
 
 def test_bad_settings_are_refused() -> None:
     with pytest.raises(ValueError, match="lower < upper"):
-        search(bowl, UPPER, LOWER, seed=0)
+        make_strategy("ga", UPPER, LOWER, population=10, seed=0)
     with pytest.raises(ValueError, match="population >= 2"):
         Operators(population=1)
     with pytest.raises(ValueError, match="between 0 and 1"):
