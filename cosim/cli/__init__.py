@@ -6,7 +6,7 @@ import sys
 
 import typer
 
-from cosim.cli import build, compare, converge, listing, optimise, run, sensitivity, verify
+from cosim.cli import build, compare, converge, identify, listing, optimise, run, sensitivity, verify
 from cosim.cli.console import failure
 
 app = typer.Typer(
@@ -22,6 +22,7 @@ app.command("build")(build.build)
 app.command("run")(run.run)
 app.command("compare")(compare.compare)
 app.command("converge")(converge.converge)
+app.command("identify")(identify.identify)
 app.command("optimise")(optimise.optimise)
 app.command("map")(sensitivity.fitness_map)
 app.command("verify")(verify.verify)

@@ -17,6 +17,7 @@ from cosim.cli.console import Format, FormatOption, count_progress, emit, out, w
 from cosim.cli.run import _pair, _value, free_path
 from cosim.errors import CosimError, nearest
 from cosim.recording import new_folder
+from cosim.ssp import read_parameters
 
 if TYPE_CHECKING:
     from optimisation.pareto import Front
@@ -38,6 +39,9 @@ class SearchMethod(StrEnum):
 ParameterOption = Annotated[
     list[str] | None, typer.Option("--set", metavar="PARAM=VALUE", help="A parameter of the simplified model.")
 ]
+SetFileOption = Annotated[
+    list[Path] | None, typer.Option("--ssv", help="Parameter set of the simplified model, such as identified.ssv.")
+]
 BoundsOption = Annotated[
     list[str] | None, typer.Option("--bounds", metavar="NAME=LOW:HIGH", help="Other bounds than those of eq. 14.")
 ]
@@ -58,6 +62,7 @@ def optimise(
     evaluations: Annotated[int | None, typer.Option(min=2, help="Largest number of simulations; 5000.")] = None,
     bounds: BoundsOption = None,
     set_: ParameterOption = None,
+    ssv: SetFileOption = None,
     polish: Annotated[bool, typer.Option("--polish", help="Refine the best design and certify it.")] = False,
     pareto: Annotated[bool, typer.Option("--pareto", help="Response against damper stroke, by NSGA-II.")] = False,
     fmu: FmuOption = None,
@@ -79,7 +84,7 @@ def optimise(
         "damper": damper and known_damper(damper),
         "method": "nsga2" if pareto else method and method.value,
         "seed": seed, "population": population, "generations": generations, "evaluations": evaluations,
-        "parameters": parameters(set_) or None, "bounds": parsed_bounds(bounds) or None,
+        "parameters": parameters(set_, ssv) or None, "bounds": parsed_bounds(bounds) or None,
     }  # fmt: skip
     if pareto and (method or polish):
         raise CosimError(f"--pareto has its own method: leave out {'--method' if method else '--polish'}")
@@ -116,9 +121,15 @@ def known_damper(name: str) -> str:
     return name
 
 
-def parameters(items: list[str] | None) -> dict[str, float]:
-    """Values from --set PARAM=VALUE."""
-    values = {}
+def parameters(items: list[str] | None, files: list[Path] | None = None) -> dict[str, float]:
+    """Values from parameter set files, in SI units as the simplified model's, and then from --set PARAM=VALUE."""
+    values: dict[str, float] = {}
+    for file in files or []:
+        for name, start in read_parameters(file).items():
+            if not isinstance(start.value, (int, float)):
+                raise CosimError(f"{file}: {name} is no number")
+            factor, offset = (start.unit.factor, start.unit.offset) if start.unit else (1.0, 0.0)
+            values[name] = factor * float(start.value) + offset
     for name, text in (_pair(i, "--set", "PARAM=VALUE") for i in items or []):
         if not isinstance(value := _value(text), (int, float)):
             raise CosimError(f"--set {name}={text}: give a number")

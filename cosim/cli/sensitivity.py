@@ -15,6 +15,7 @@ from cosim.cli.optimise import (
     FmuOption,
     FolderOption,
     ParameterOption,
+    SetFileOption,
     WorkersOption,
     known_damper,
     parameters,
@@ -36,6 +37,7 @@ def fitness_map(
     ] = None,
     bounds: BoundsOption = None,
     set_: ParameterOption = None,
+    ssv: SetFileOption = None,
     fmu: FmuOption = None,
     folder: FolderOption = None,
     workers: WorkersOption = CPUS,
@@ -51,7 +53,7 @@ def fitness_map(
     quiet = output is Format.JSON
     place = "nacelle_damper" if known_damper(damper) == "tmd-n" else "platform_damper"
     held = _result_parameters(at) if at else {}
-    limits, values, file = parsed_bounds(bounds), parameters(set_), simplified(fmu, quiet)
+    limits, values, file = parsed_bounds(bounds), parameters(set_, ssv), simplified(fmu, quiet)
     with count_progress(quiet) as bar:
         task = bar.add_task(f"mapping {damper}", total=points**2, note="")
         found = evaluate(

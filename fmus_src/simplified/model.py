@@ -92,7 +92,11 @@ def component() -> Component:
         c.parameter(n, five, unit="rad", display_unit="deg", description=f"{d} at the start, from the vertical")
         for n, d in (("initial_tower_angle", "tower angle"), ("initial_platform_pitch", "platform pitch"))
     )
-    q, v = _declare_motion(c, tower_0, platform_0)
+    nacelle_0, barge_0 = (
+        c.parameter(f"{d.prefix}initial_displacement", 0.0, unit="m", description="at the start, in the global frame")
+        for d in (nacelle, platform)
+    )
+    q, v = _declare_motion(c, tower_0, platform_0, nacelle_0, barge_0)
 
     mass, damping, stiffness = matrices(s, nacelle, platform)
     # What depends on parameters only is evaluated once, not in every stage of the integration.
@@ -203,15 +207,19 @@ def _declare_damper(
     return Damper(prefix, mass, stiffness, damping, limit, k_stop, c_stop, active, sign * distance)
 
 
-def _declare_motion(c: Component, tower_0: Any, platform_0: Any) -> tuple[Any, Any]:
+def _declare_motion(c: Component, tower_0: Any, platform_0: Any, nacelle_0: Any, barge_0: Any) -> tuple[Any, Any]:
     """Generalised coordinates (eq. 2) and their rates, all absolute."""
     angle: dict[str, Any] = {"unit": "rad", "display_unit": "deg", "nominal": 0.1}
     rate: dict[str, Any] = {"unit": "rad/s", "nominal": 0.05}
     q = ca.vertcat(
         c.state("tower_angle", start=tower_0, description="tower angle from the vertical", **angle),
         c.state("platform_pitch", start=platform_0, description="platform pitch from the vertical", **angle),
-        c.state("nacelle_damper.displacement", unit="m", description="displacement in the global frame"),
-        c.state("platform_damper.displacement", unit="m", description="displacement in the global frame"),
+        c.state(
+            "nacelle_damper.displacement", unit="m", start=nacelle_0, description="displacement in the global frame"
+        ),
+        c.state(
+            "platform_damper.displacement", unit="m", start=barge_0, description="displacement in the global frame"
+        ),
     )
     v = ca.vertcat(
         c.state("tower_angular_velocity", description="rate of the tower angle", **rate),
