@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from itertools import count
 from typing import Any
 
@@ -13,17 +14,14 @@ import numpy.typing as npt
 import pandas as pd
 
 from fmus_src.component import Component
+from fmus_src.crossing import MAX_CROSSINGS, Flags, crossed, locate
 from fmus_src.equations import Equations, derive
 from fmus_src.lookups import LookupMemory, SwitchLookup
 from fmus_src.variable import Causality
 
 Array = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
 
 # As in the C runtime (integration.c).
-_CROSSING_TOLERANCE = 1e-10
-_MAX_ITERATIONS = 60
-_MAX_CROSSINGS = 20
 
 _KEYS: dict[str, Causality] = {
     "p": "parameter",
@@ -178,47 +176,22 @@ class Instance:
             now, left = t + done, h - done
             before = self._switches(u, now, x, held)
             held = before > 0.0
-            after = self._switches(u, now + left, y := self._runge_kutta(u, now, left, x, held), held)
+            y, after = self._reach(u, now, x, held, left)
             departs = (before == 0.0) & ((after > 0.0) != held)
             if departs.any():  # from zero: the sign is that of what follows
                 held = held ^ departs
-                after = self._switches(u, now + left, y := self._runge_kutta(u, now, left, x, held), held)
-            if crossing == _MAX_CROSSINGS or not _crossed(after, held, before).any():
+                y, after = self._reach(u, now, x, held, left)
+            if crossing == MAX_CROSSINGS or not crossed(after, held, before).any():
                 return y
-            length, x = self._locate(u, now, left, (x, before), (y, after), held)
+            length, x = locate(partial(self._reach, u, now, x, held), left, before, (y, after), held)
             done += length
             if done >= h:
                 break
         return x
 
-    def _locate(
-        self, u: _Input, t: float, h: float, begin: tuple[Array, Array], end: tuple[Array, Array], held: Flags
-    ) -> tuple[float, Array]:
-        """Length of the step that ends just past the first crossing, and the states there (Illinois' method)."""
-        x, before = begin
-        y, s_b = end
-        s_a, a, b, w_a, w_b, slow = before, 0.0, h, 1.0, 1.0, 0
-        side = 0
-        for _ in range(_MAX_ITERATIONS):
-            crossed, width = _crossed(s_b, held, before), b - a
-            v_a, v_b = w_a * s_a[crossed], w_b * s_b[crossed]
-            zero = a + width * float(np.min(v_a / (v_a - v_b)))
-            tolerance = _CROSSING_TOLERANCE * h
-            if b - zero <= tolerance:
-                break
-            trial = zero + 0.5 * tolerance if slow < 3 else 0.5 * (a + b)
-            y_trial = self._runge_kutta(u, t, trial, x, held)
-            s_trial = self._switches(u, t + trial, y_trial, held)
-            if _crossed(s_trial, held, before).any():
-                b, y, s_b, w_b = trial, y_trial, s_trial, 1.0
-                w_a = 0.5 * w_a if side == 1 else w_a
-                side = 1
-            else:
-                a, s_a, w_a = trial, s_trial, 1.0
-                w_b = 0.5 * w_b if side == -1 else w_b
-                side = -1
-            slow = slow + 1 if b - a > 0.5 * width else 0
-        return b, y
+    def _reach(self, u: _Input, t: float, x: Array, held: Flags, h: float) -> tuple[Array, Array]:
+        y = self._runge_kutta(u, t, h, x, held)
+        return y, self._switches(u, t + h, y, held)
 
     def _switches(self, u: _Input, t: float, x: Array, held: Flags) -> Array:
         self._values["u"] = u.at(t)
@@ -246,11 +219,6 @@ class _Input:
 
     def at(self, t: float) -> Array:
         return self.start + self.slope * (t - self.begin)
-
-
-def _crossed(switches: Array, held: Flags, before: Array) -> Flags:
-    """Switches whose sign is not the one held; what stays at zero, or returns to it, is let be."""
-    return np.asarray(((switches > 0.0) != held) & (before != 0.0))
 
 
 def simulate(

@@ -49,8 +49,8 @@ class Lookup(Protocol):
 
 
 @dataclass(frozen=True)
-class StoredLookup:
-    """The arguments themselves: an intermediate result, evaluated once for all that uses it."""
+class _ElementLookup:
+    """One result of each argument."""
 
     name: str
     size: int
@@ -62,34 +62,25 @@ class StoredLookup:
     @property
     def result_size(self) -> int:
         return self.size
-
-    def evaluate(self, arguments: Array, memory: LookupMemory) -> Array:
-        return arguments
 
     def dependencies(self) -> npt.NDArray[np.bool_]:
         return np.eye(self.size, dtype=bool)
 
 
 @dataclass(frozen=True)
-class SwitchLookup:
+class StoredLookup(_ElementLookup):
+    """The arguments themselves: an intermediate result, evaluated once for all that uses it."""
+
+    def evaluate(self, arguments: Array, memory: LookupMemory) -> Array:
+        return arguments
+
+
+@dataclass(frozen=True)
+class SwitchLookup(_ElementLookup):
     """1 for each argument above 0, else 0; the integrator holds the results between the crossings that it locates."""
-
-    name: str
-    size: int
-
-    @property
-    def argument_size(self) -> int:
-        return self.size
-
-    @property
-    def result_size(self) -> int:
-        return self.size
 
     def evaluate(self, arguments: Array, memory: LookupMemory) -> Array:
         return (arguments > 0.0).astype(float)
-
-    def dependencies(self) -> npt.NDArray[np.bool_]:
-        return np.eye(self.size, dtype=bool)
 
 
 @dataclass(frozen=True)

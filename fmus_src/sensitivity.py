@@ -14,6 +14,7 @@ import hashlib
 import math
 import tempfile
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,19 +23,16 @@ import numpy as np
 import numpy.typing as npt
 from platformdirs import user_cache_path
 
+from fmus_src.crossing import MAX_CROSSINGS, Flags, crossed, locate
 from fmus_src.equations import Equations
 from fmus_src.export.build import native_target
 from fmus_src.export.compiler import compile_shared
 from fmus_src.lookups import SwitchLookup
 
 Array = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
 
 CHUNK = 64  # steps evaluated by one call between looks at the switches
 # As in instance.py.
-_CROSSING_TOLERANCE = 1e-10
-_MAX_ITERATIONS = 60
-_MAX_CROSSINGS = 20
 
 
 class Sensitivity:
@@ -224,7 +222,7 @@ class _Run:
     def _in_parts(self, state: Array) -> Array:
         """One step from crossing to crossing, as `Instance._sub_step`."""
         done = 0.0
-        for crossing in range(_MAX_CROSSINGS + 1):
+        for crossing in range(MAX_CROSSINGS + 1):
             before, left = self._switches(state), self._h - done
             held = before > 0.0
             following, after = self._step(state, held, left)
@@ -232,38 +230,14 @@ class _Run:
             if departs.any():  # from zero: the sign is that of what follows
                 held = held ^ departs
                 following, after = self._step(state, held, left)
-            if crossing == _MAX_CROSSINGS or not _crossed(after, held, before).any():
+            if crossing == MAX_CROSSINGS or not crossed(after, held, before).any():
                 return following
-            length, state = self._locate(state, before, held, left)
+            length, state = locate(partial(self._step, state, held), left, before, (following, after), held)
             state = self._jump(state, held, before)
             done += length
             if done >= self._h:
                 break
         return state
-
-    def _locate(self, state: Array, before: Array, held: Flags, h: float) -> tuple[float, Array]:
-        """Length of the step that ends just past the first crossing, and [x, S] there (Illinois' method)."""
-        end, s_b = self._step(state, held, h)
-        s_a, a, b, w_a, w_b, side, slow = before, 0.0, h, 1.0, 1.0, 0, 0
-        tolerance = _CROSSING_TOLERANCE * h
-        for _ in range(_MAX_ITERATIONS):
-            crossed, width = _crossed(s_b, held, before), b - a
-            v_a, v_b = w_a * s_a[crossed], w_b * s_b[crossed]
-            zero = a + width * float(np.min(v_a / (v_a - v_b)))
-            if b - zero <= tolerance:
-                break
-            trial = zero + 0.5 * tolerance if slow < 3 else 0.5 * (a + b)
-            reached, s_trial = self._step(state, held, trial)
-            if _crossed(s_trial, held, before).any():
-                b, end, s_b, w_b = trial, reached, s_trial, 1.0
-                w_a = 0.5 * w_a if side == 1 else w_a
-                side = 1
-            else:
-                a, s_a, w_a = trial, s_trial, 1.0
-                w_b = 0.5 * w_b if side == -1 else w_b
-                side = -1
-            slow = slow + 1 if b - a > 0.5 * width else 0
-        return b, end
 
     def _jump(self, state: Array, held: Flags, before: Array) -> Array:
         """[x, S] after the crossing: each instant at which the rate changes moves with the parameters."""
@@ -272,7 +246,7 @@ class _Run:
         rate = self._f.rate(state, held, *self.constants).full()[:, 0]
         switches = self._f.switches(state, *self.constants).full()
         now = switches[:, 0] > 0.0
-        which = int(np.flatnonzero(_crossed(switches[:, 0], held, before))[0])
+        which = int(np.flatnonzero(crossed(switches[:, 0], held, before))[0])
         after = self._f.rate(state, now, *self.constants).full()[:, 0]
         speed = self._slope(state, rate, which)
         if speed == 0.0:
@@ -287,7 +261,3 @@ class _Run:
         seeded = np.hstack([state[:, :1], np.repeat(rate[:, None], state.shape[1] - 1, axis=1)])
         nothing = (p, 0 * selection, k, 0 * s_k)
         return float(self._f.switches(seeded, *nothing).full()[which, 1])
-
-
-def _crossed(switches: Array, held: Flags, before: Array) -> Flags:
-    return np.asarray(((switches > 0.0) != held) & (before != 0.0))

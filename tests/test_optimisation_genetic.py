@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
@@ -20,7 +21,9 @@ def bowl(x: np.ndarray) -> np.ndarray:
     return np.asarray((x[:, 0] - 3.0) ** 2 + 5.0 * (x[:, 1] - 1.0) ** 2 - 7.0)
 
 
-def genetic_search(objective, seed: int, population: int = 100, generations: int = 25) -> list[Generation]:  # type: ignore[no-untyped-def]
+def genetic_search(
+    objective: Callable[[np.ndarray], np.ndarray], seed: int, population: int = 100, generations: int = 25
+) -> list[Generation]:
     strategy = make_strategy("ga", LOWER, UPPER, population=population, seed=seed)
     return list(search(objective, strategy, evaluations=population * generations, generations=generations).generations)
 
