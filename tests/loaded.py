@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import fmpy
 import fmpy.fmi2
+import pytest
+from fmpy.fmi1 import FMICallException
 
 
 class Loaded:
@@ -48,3 +51,10 @@ def initialised(fmu: Loaded, values: dict[str, float] | None = None) -> fmpy.fmi
     slave.enterInitializationMode()
     slave.exitInitializationMode()
     return slave
+
+
+def refusal(fmu: Loaded, call: Callable[[], object]) -> str:
+    """The message with which the FMU refuses a call."""
+    with pytest.raises(FMICallException):
+        call()
+    return fmu.messages[-1]

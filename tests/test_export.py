@@ -18,7 +18,6 @@ import numpy as np
 import pytest
 from fmpy.fmi1 import FMICallException
 
-from fmus_src.aero.turbsim_file import WindBox, write_box
 from fmus_src.component import Component
 from fmus_src.equations import derive
 from fmus_src.export import build
@@ -28,7 +27,7 @@ from fmus_src.lookups import ImplicitLookup, LookupMemory
 from fmus_src.tmd.model import component as tmd
 
 from .conftest import every_feature
-from .loaded import Loaded, initialised
+from .loaded import Loaded, initialised, refusal
 
 
 @pytest.fixture(scope="module")
@@ -272,13 +271,6 @@ def started_with(fmu: Loaded, **experiment: float) -> fmpy.fmi2.FMU2Slave:
     return slave
 
 
-def refusal(fmu: Loaded, call: Callable[[], object]) -> str:
-    """The message with which the FMU refuses a call."""
-    with pytest.raises(FMICallException):
-        call()
-    return fmu.messages[-1]
-
-
 def test_refuses_steps_beyond_the_stop_time_and_from_no_time(feature_fmu: Loaded) -> None:
     """FMI 2.0.4, fmi2SetupExperiment: an FMU that is asked to compute past a defined stop time returns an error."""
     slave = started_with(feature_fmu, startTime=0.0, stopTime=0.3)
@@ -317,31 +309,6 @@ def test_after_the_end_it_can_be_read_only(feature_fmu: Loaded) -> None:
         slave.freeInstance()
 
 
-def test_samples_at_every_instant_of_an_importer_that_adds_up_its_steps(
-    built: Callable[[Component], Path], tmp_path: Path
-) -> None:
-    """After 100 000 sums of 0.05 s the importer's clock is short of the instant, by less than 1e-5 steps."""
-    c = Component("counter", "Counts its samples", sample_time=0.05)
-    z = c.sampled_state("z", description="number of samples")
-    c.update(z, z + 1)
-    fmu = Loaded(built(c), tmp_path)
-    slave, twin, now, steps = initialised(fmu), Instance(c), 0.0, 100_000
-    behind = 0.0
-    for i in range(steps):
-        slave.doStep(now, 0.05)
-        now += 0.05
-        behind = max(behind, (i + 1) * 0.05 - now)
-        if i % 997 == 0:
-            assert slave.getReal(fmu.vr("z")) == [i + 1]
-    assert slave.getReal(fmu.vr("z")) == [steps]
-    assert behind > 1e-9 * 0.05  # otherwise this tests nothing
-    twin.initialise()
-    twin._samples, twin.time = 79_999, 79_999 * 0.05 - 1e-8
-    twin.do_step(0.05)
-    assert twin._samples == 80_000
-    slave.freeInstance()
-
-
 def test_booleans_are_zero_or_one_and_calculated_parameters_follow_tunable_ones(feature_fmu: Loaded) -> None:
     slave, twin = initialised(feature_fmu), Instance(every_feature())
     twin.initialise()
@@ -354,142 +321,6 @@ def test_booleans_are_zero_or_one_and_calculated_parameters_follow_tunable_ones(
     slave.reset()
     slave.setBoolean(feature_fmu.vr("on"), [7])
     assert slave.getBoolean(feature_fmu.vr("on")) == [1]
-    slave.freeInstance()
-
-
-def sampler(at_start: bool) -> Component:
-    """Takes the input at each sample and counts the samples."""
-    c = Component("sampler", "Sample and hold", sample_time=0.1, sample_at_start=at_start)
-    u = c.input("u", description="input")
-    held = c.sampled_state("held", start=-1.0, description="input at the last sample")
-    count = c.sampled_state("count", internal=True, description="number of samples")
-    twice = c.intermediate("twice", 2 * u)
-    c.update(held, twice)
-    c.update(count, count + 1)
-    c.output("y", held, description="twice the input at the last sample")
-    c.output("n", count, description="number of samples")
-    return c
-
-
-@pytest.mark.parametrize("at_start", [True, False])
-def test_first_sample_is_at_the_start_or_a_period_later(
-    built: Callable[[Component], Path], tmp_path: Path, at_start: bool
-) -> None:
-    """At the start it follows the inputs through initialisation, as often as they change, and counts once."""
-    fmu, twin = Loaded(built(sampler(at_start)), tmp_path), Instance(sampler(at_start))
-    slave, y = fmu.instance(), fmu.vr("y", "n")
-    slave.setupExperiment(startTime=0.0)
-    slave.setReal(fmu.vr("u"), [1.0])
-    slave.enterInitializationMode()
-    for u in (1.0, 3.0, 2.0):
-        slave.setReal(fmu.vr("u"), [u])
-        assert slave.getReal(y) == ([2 * u, 1.0] if at_start else [-1.0, 0.0])
-    slave.setReal(fmu.vr("u"), [4.0])  # the last word, unread before the start
-    slave.exitInitializationMode()
-    twin.set({"u": 4.0})
-    twin.initialise()
-    for i in range(4):
-        expected = [8.0 + 2 * (i // 2), i // 2 + 1.0] if at_start else [-1.0 if i < 2 else 8.0 + 2 * (i // 2), i // 2]
-        assert slave.getReal(y) == expected
-        assert [twin.get("y"), twin.get("n")] == expected
-        slave.setReal(fmu.vr("u"), [4.0 + (i + 1) // 2])
-        twin.set({"u": 4.0 + (i + 1) // 2})
-        assert slave.getReal(y) == expected
-        slave.doStep(0.05 * i, 0.05)
-        twin.do_step(0.05)
-    slave.freeInstance()
-
-
-def wind_probe() -> Component:
-    c = Component("wind_probe", "Wind speed at a point")
-    file = c.string_parameter("file", description="a wind file")
-    height = c.parameter("height", 50.0, unit="m", description="height of the point")
-    velocity, loaded = c.field("wind", file, ca.horzcat(0, 0, height))
-    c.output("u", velocity[0, 0], unit="m/s", description="downwind speed")
-    c.output("loaded", loaded, description="whether a file is loaded")
-    return c
-
-
-@pytest.fixture
-def wind_file(tmp_path: Path) -> Path:
-    """Rows at 40 and 60 m whose speeds change with height and time; tower points far off the grid's."""
-    velocity = np.zeros((50, 2, 2, 3), dtype=np.float32)
-    velocity[:, 0, :, 0] = 8.0 + np.sin(np.arange(50))[:, None]
-    velocity[:, 1, :, 0] = 10.0
-    write_box(
-        WindBox(
-            velocity=velocity, dt=0.1, dy=20.0, dz=20.0, z_bottom=40.0, hub_height=50.0, mean_speed=9.0,
-            periodic=True, tower=np.full((50, 2, 3), 3.0, dtype=np.float32),
-        ),
-        tmp_path / "wind.bts",
-    )  # fmt: skip
-    return tmp_path / "wind.bts"
-
-
-def test_state_brings_its_wind_file_to_a_new_instance(
-    built: Callable[[Component], Path], tmp_path: Path, wind_file: Path
-) -> None:
-    """FMI allows fmi2SetFMUstate right after fmi2Instantiate, in another process: the file is part of the state."""
-    fmu = Loaded(built(wind_probe()), tmp_path / "fmu")
-    slave = fmu.instance()
-    slave.setupExperiment(startTime=0.0)
-    slave.setString(fmu.vr("file"), [str(wind_file)])
-    slave.enterInitializationMode()
-    slave.exitInitializationMode()
-    slave.doStep(0.0, 0.25)
-    expected = slave.getReal(fmu.vr("u", "loaded"))
-    assert expected[1] == 1.0
-    stored = slave.serializeFMUstate(slave.getFMUstate())
-    other = fmu.instance()
-    restored = other.deSerializeFMUstate(stored)
-    other.setFMUstate(restored)
-    assert other.getReal(fmu.vr("u", "loaded")) == expected
-    other.doStep(0.25, 0.25)
-    slave.doStep(0.25, 0.25)
-    assert other.getReal(fmu.vr("u")) == slave.getReal(fmu.vr("u"))
-    foreign = bytes(stored).replace(fmu.description.guid.encode(), b"{" + b"0" * 36 + b"}")
-    assert "no state of this FMU" in refusal(fmu, lambda: other.deSerializeFMUstate(foreign))
-    slave.freeInstance()
-    other.freeInstance()
-
-
-@pytest.mark.parametrize("height", [30.0, 47.0])
-def test_wind_box_agrees_with_python_below_the_grid_too(
-    built: Callable[[Component], Path], tmp_path: Path, wind_file: Path, height: float
-) -> None:
-    fmu = Loaded(built(wind_probe()), tmp_path / "fmu")
-    twin = Instance(wind_probe())
-    twin.set({"file": str(wind_file), "height": height})
-    twin.initialise()
-    slave = fmu.instance()
-    slave.setupExperiment(startTime=0.0)
-    slave.setString(fmu.vr("file"), [str(wind_file)])
-    slave.setReal(fmu.vr("height"), [height])
-    slave.enterInitializationMode()
-    slave.exitInitializationMode()
-    # Python holds the velocities as 32-bit numbers: 10 m/s to 1e-6.
-    assert slave.getReal(fmu.vr("u")) == pytest.approx([twin.get("u")], abs=2e-6)
-    slave.freeInstance()
-    with pytest.raises(KeyError):
-        twin.set({"flie": str(wind_file)})
-
-
-def test_wind_file_with_an_absurd_time_step_is_read_within_its_bounds(
-    built: Callable[[Component], Path], tmp_path: Path, wind_file: Path
-) -> None:
-    """dt = 1e-36 s puts the present 1e36 steps ahead; the sample is still one of the repeating box."""
-    data = bytearray(wind_file.read_bytes())
-    data[26:30] = np.float32(1e-36).tobytes()
-    wind_file.write_bytes(data)
-    fmu = Loaded(built(wind_probe()), tmp_path / "fmu")
-    slave = fmu.instance()
-    slave.setupExperiment(startTime=0.0)
-    slave.setString(fmu.vr("file"), [str(wind_file)])
-    slave.enterInitializationMode()
-    slave.exitInitializationMode()
-    for i in range(20):
-        slave.doStep(1.7 * i, 1.7)
-        assert 8.4 < slave.getReal(fmu.vr("u"))[0] < 9.6  # half of (8 +- 1) m/s and 10 m/s
     slave.freeInstance()
 
 
