@@ -24,11 +24,13 @@ class Wind:
         parameter: `component.variable` that takes the file's path.
         mean_speed: at hub height, m/s.
         turbulence_class: "A", "B" or "C".
+        width: of the box, m; the rotor must stay within it however far the platform sways.
     """
 
     parameter: str
     mean_speed: float
     turbulence_class: str = "B"
+    width: float = 145.0
 
 
 @dataclass(frozen=True)
@@ -117,7 +119,10 @@ def read_case(name: str) -> LoadCase:
         box = None
         if wind:
             with TomlReader(wind, path, "wind.") as w:
-                box = Wind(w.take("parameter", str), w.take("mean_speed", float), w.take("turbulence_class", str, "B"))
+                box = Wind(
+                    w.take("parameter", str), w.take("mean_speed", float), w.take("turbulence_class", str, "B"),
+                    w.take("width", float, Wind.width),
+                )  # fmt: skip
         dampers = read_dampers(path.parent / top.take("dampers", str, _dampers_of(table)))
         if not (stop > 0.0 and step > 0.0 and 0.0 <= transient < stop and record_every >= 1):
             raise CosimError(f"{path}: [run] needs stop > transient >= 0, step > 0 and record_every >= 1")

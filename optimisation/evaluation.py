@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
-from scipy.signal import welch
 
 Array = npt.NDArray[np.float64]
 
@@ -81,6 +80,8 @@ def power_spectral_density(
     Raises:
         ValueError: as `statistics`, or fewer than 8 samples in a segment.
     """
+    from scipy.signal import welch  # its import takes a second, which what needs no spectrum should not wait for
+
     t, x = after_transient(time, values, transient)
     step = (t[-1] - t[0]) / (t.size - 1)
     count = min(t.size, round(segment / step))

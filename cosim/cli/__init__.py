@@ -6,7 +6,7 @@ import sys
 
 import typer
 
-from cosim.cli import build, compare, converge, identify, listing, optimise, run, sensitivity, verify
+from cosim.cli import build, campaign, compare, converge, identify, listing, optimise, run, sensitivity, verify
 from cosim.cli.console import failure
 
 app = typer.Typer(
@@ -21,6 +21,7 @@ app = typer.Typer(
 app.command("build")(build.build)
 app.command("run")(run.run)
 app.command("compare")(compare.compare)
+app.command("campaign")(campaign.campaign)
 app.command("converge")(converge.converge)
 app.command("identify")(identify.identify)
 app.command("optimise")(optimise.optimise)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
@@ -148,8 +149,13 @@ class Prepared:
         return result
 
 
-def prepare(case: LoadCase, damper: str | None, changes: Changes, *, quiet: bool = False) -> Prepared:
+def prepare(
+    case: LoadCase, damper: str | None, changes: Changes, *, quiet: bool = False, again: bool = False
+) -> Prepared:
     """Build what is missing, make the wind, and put the system together.
+
+    Args:
+        again: the case has been prepared before with these changes: what is doubtful has been said.
 
     Raises:
         CosimError: a name in the changes is unknown, or a file cannot be used.
@@ -159,7 +165,7 @@ def prepare(case: LoadCase, damper: str | None, changes: Changes, *, quiet: bool
         raise CosimError(f"no damper arrangement '{name}'{nearest(name, case.dampers)}")
     arrangement = case.dampers[name]
     folders = [changes.fmus] if changes.fmus else [next(iter(build_fmus(quiet=quiet).values())).parent]
-    settings = _settings(case, changes)
+    settings = _settings(case, changes, again)
     settings.steps()
     whole = read_system(arrangement.system or case.system, folders)
     system = without(with_damper(whole, arrangement), *case.without)
@@ -167,7 +173,7 @@ def prepare(case: LoadCase, damper: str | None, changes: Changes, *, quiet: bool
     values: dict[str, Number] = dict(case.parameters) | dict.fromkeys(case.seed_parameters, seed)
     left_out = {c.name for c in whole.components} - {c.name for c in system.components}
     if case.wind and case.wind.parameter.split(".")[0] not in left_out:
-        values[case.wind.parameter] = str(_wind_file(case, seed, settings.stop, quiet))
+        values[case.wind.parameter] = str(wind_file(case, seed, settings.stop, quiet))
     system = with_parameters(system, {n: v for n, v in values.items() if n.split(".")[0] not in left_out})
     for item in changes.swap:
         component, replacement = _pair(item, "--swap", "COMPONENT=FILE.fmu")
@@ -186,12 +192,12 @@ def prepare(case: LoadCase, damper: str | None, changes: Changes, *, quiet: bool
     return prepared
 
 
-def _settings(case: LoadCase, changes: Changes) -> RunSettings:
+def _settings(case: LoadCase, changes: Changes, again: bool = False) -> RunSettings:
     stop = case.stop if changes.until is None else changes.until
     transient = case.transient if stop > case.transient else 0.0
-    if transient < case.transient:
+    if transient < case.transient and not again:
         warn(f"the run ends within the transient of {case.transient:g} s: statistics include it")
-    if case.wind and stop > case.stop:
+    if case.wind and stop > case.stop and not again:
         warn(f"a run beyond the case's {case.stop:g} s has a longer wind box, so another wind than the case's")
     settings = RunSettings(
         stop=stop,
@@ -204,8 +210,8 @@ def _settings(case: LoadCase, changes: Changes) -> RunSettings:
     return replace(settings, **{k: v for k, v in changes.stepping.items() if v is not None})
 
 
-def _wind_file(case: LoadCase, seed: int, stop: float, quiet: bool) -> Path:
-    """The case's wind box, generated once; it always spans the whole case, so that a shorter run sees the same wind."""
+def wind_file(case: LoadCase, seed: int, stop: float, quiet: bool) -> Path:
+    """The box of a case with wind, generated once; it spans the whole case: a shorter run sees the same wind."""
     from platformdirs import user_cache_path
 
     from fmus_src.aero.turbulence import TurbulenceSpec, cached_box
@@ -215,6 +221,10 @@ def _wind_file(case: LoadCase, seed: int, stop: float, quiet: bool) -> Path:
     spec = TurbulenceSpec(
         mean_speed=case.wind.mean_speed, turbulence_class=case.wind.turbulence_class, seed=seed, duration=duration
     )
+    if case.wind.width != spec.grid_width:  # points no further apart than they are by default
+        spacing = spec.grid_width / (spec.grid_points - 1)
+        points = 2 * math.ceil(case.wind.width / (2.0 * spacing) - 1e-9) + 1
+        spec = replace(spec, grid_width=case.wind.width, grid_points=points)
     with err.status("generating the turbulent wind") if not quiet else _nothing():
         return cached_box(spec, user_cache_path("fowt-cosim") / "wind")
 

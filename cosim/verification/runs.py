@@ -158,11 +158,11 @@ def _digest(path: Path, size: int, modified: int) -> str:
 
 @cache
 def _master() -> str:
-    """Digest of what steps the systems: this package's sources less what only looks at results."""
+    """Digest of what steps the systems: this package's sources less what only arranges runs or looks at results."""
     digest = hashlib.sha256(version("numpy").encode())
     for root in map(Path, cosim.__path__):
         for path in sorted(root.rglob("*")):
             inside = path.relative_to(root).as_posix()
-            if path.suffix in (".py", ".c", ".h") and not inside.startswith(("cli/", "verification/")):
+            if path.suffix in (".py", ".c", ".h") and not inside.startswith(("campaign/", "cli/", "verification/")):
                 digest.update(inside.encode() + path.read_bytes())
     return digest.hexdigest()
