@@ -6,7 +6,19 @@ import sys
 
 import typer
 
-from cosim.cli import build, campaign, compare, converge, identify, listing, optimise, run, sensitivity, verify
+from cosim.cli import (
+    build,
+    campaign,
+    compare,
+    converge,
+    identify,
+    linearise,
+    listing,
+    optimise,
+    run,
+    sensitivity,
+    verify,
+)
 from cosim.cli.console import failure
 
 app = typer.Typer(
@@ -25,6 +37,7 @@ app.command("campaign")(campaign.campaign)
 app.command("converge")(converge.converge)
 app.command("identify")(identify.identify)
 app.command("optimise")(optimise.optimise)
+app.command("linearise")(linearise.linearise)
 app.command("map")(sensitivity.fitness_map)
 app.command("verify")(verify.verify)
 app.command("list")(listing.list_all)
