@@ -15,6 +15,7 @@ from cosim.cli import (
     linearise,
     listing,
     optimise,
+    report,
     run,
     sensitivity,
     verify,
@@ -39,6 +40,7 @@ app.command("identify")(identify.identify)
 app.command("optimise")(optimise.optimise)
 app.command("linearise")(linearise.linearise)
 app.command("map")(sensitivity.fitness_map)
+app.command("report")(report.report)
 app.command("verify")(verify.verify)
 app.command("list")(listing.list_all)
 
