@@ -15,7 +15,7 @@ from scipy.signal import lsim
 
 from optimisation.baselines import Primary, stiffness_and_damping, warburton
 from optimisation.receptance import Damper, LinearModel, estimate, fit_mode
-from optimisation.spectral import SpectralResponse, Stops, linearised_stops
+from optimisation.spectral import SpectralResponse
 
 Array = npt.NDArray[Any]
 STEP, END = 0.1, 630.0
@@ -148,26 +148,9 @@ def test_mode_of_one_degree_of_freedom() -> None:
     assert mode.frequency == pytest.approx(1.0 / (2 * np.pi), rel=3e-3)
 
 
-def test_stops_are_linearised_as_their_definition_says() -> None:
-    """E[(s - mu) f] / sigma_s^2 and so on, over samples of independent Gaussian displacement and velocity."""
-    mean, sigma, rate, stroke, k, c = 0.7, 3.0, 2.0, 4.0, 5e5, 4e5
-    generator = np.random.default_rng(1)
-    s, v = mean + sigma * generator.standard_normal(2_000_000), rate * generator.standard_normal(2_000_000)
-    beyond = np.abs(s) > stroke
-    f = k * beyond * (s - np.sign(s) * stroke) + c * (beyond & (s * v > 0.0)) * v
-    sampled = [np.mean((s - mean) * f) / sigma**2, np.mean(v * f) / rate**2, np.mean(f)]
-    limits = Stops(np.array(stroke), np.array(k), np.array(c))
-    found = linearised_stops(limits, np.array(mean), np.array(sigma), np.array(rate))
-    assert [float(x) for x in found] == pytest.approx(sampled, rel=0.03)  # of 2e6 samples: 1.1 % for c_eq
-
-
-@pytest.mark.parametrize(("stop", "low", "high"), [((7e3, 1e3), 0.95, 1.05), ((5e5, 5e5), 0.6, 1.0)])
-def test_stops_keep_a_damper_as_a_simulation_does(stop: tuple[float, float], low: float, high: float) -> None:
-    """Gaussian drive of a damper whose stops are at 1.3 of its deviations: stroke by linearisation and by time.
-
-    With stops as soft as the spring the motion stays nearly Gaussian. The barge's end it at once, and it stays within
-    them: a Gaussian of the same force must be narrower, here by a third.
-    """
+@pytest.mark.parametrize("stop", [(7e3, 1e3), (5e5, 5e5)])
+def test_stops_keep_a_damper_as_a_simulation_does(stop: tuple[float, float]) -> None:
+    """Gaussian drive of a damper whose stops, as soft as its spring or as hard as the barge's, are often met."""
     m, k, c, stroke = 2e4, 7e3, 2.5e3, 1.6
     drive = 0.28 * _noise(5, 0.03, 0.3)
     held = LinearModel(
@@ -188,7 +171,7 @@ def test_stops_keep_a_damper_as_a_simulation_does(stop: tuple[float, float], low
         x += h * v
     exact = path[TIME >= 30.0].std()
     assert free > 1.05 * exact  # the stops matter
-    assert low < stopped / exact < high
+    assert stopped == pytest.approx(exact, rel=0.01)  # steps of 0.05 s against 0.01 s
 
 
 def _rigid(drive: Array) -> tuple[Array, Array, Array]:
