@@ -92,7 +92,7 @@ class SpectralResponse:
         """Time, s, and histories of channels and displacements of one candidate, (n,) and (n, C + D)."""
         model = self.models[scenario]
         values = self._split(np.atleast_2d(np.asarray(candidate, dtype=float)))
-        records = model.histories(_respond(model, *_with_stops(model, *values), channels=True))[0].T
+        records = model.histories(_respond(model, *values))[0].T
         step = model.step * model.length / (2 * len(model.p))
         time: Array = model.start + step * np.arange(len(records), dtype=float)
         return time, records
