@@ -15,8 +15,8 @@ from lxml import etree
 
 from benchmarks.case import Case, Value
 from cosim.checks import check
-from cosim.connect import write_ssd
 from cosim.run import RunSettings, simulate
+from cosim.ssp_writer import write_ssd
 from cosim.system import ComponentInstance, Connection, System, with_parameters
 from fmus_src.component import Component
 from fmus_src.export.build import build_fmu

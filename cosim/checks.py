@@ -9,10 +9,12 @@ from dataclasses import dataclass
 
 from cosim.errors import CosimError, nearest
 from cosim.fmu import Fmu, FmuVariable, Value, read_fmu
-from cosim.system import ComponentInstance, Connection, Port, StartValue, System
+from cosim.system import ComponentInstance, Connection, Mapped, Port, StartValue, System
 from fmus_src.units import Unit, conversion
 
 SOURCES = ("output", "calculatedParameter", "parameter")
+LISTED = 8  # names in a warning
+SINGLY = 3  # connections that get a warning each
 UNITLESS = Unit("1", 1.0, 0.0, ())
 
 
@@ -44,6 +46,7 @@ class CheckedSystem:
     Attributes:
         names, fmus: of the components, in order.
         start: start values of each component, in the FMU's own units.
+        mapped: of each component, what its FMU calls variables of which the system has other names.
         warnings: one line each.
     """
 
@@ -54,6 +57,7 @@ class CheckedSystem:
     start: tuple[Mapping[str, Value], ...]
     warnings: tuple[str, ...]
     ports: tuple[CheckedPort, ...] = ()
+    mapped: tuple[Mapping[str, Mapped], ...] = ()
 
 
 def check(system: System, isolated: Collection[str] = ()) -> CheckedSystem:
@@ -92,11 +96,13 @@ def check(system: System, isolated: Collection[str] = ()) -> CheckedSystem:
         inputs = [v for v in fmu.variables.values() if v.causality == "input"]
         loose = [v for v in inputs if (k, v.name) not in fed and (name, v.name) not in system.open_inputs]
         if loose:
-            values = ", ".join(f"{v.name} = {start[k].get(v.name, v.start)}" for v in loose)
+            values = ", ".join(f"{v.name} = {start[k].get(v.name, v.start)}" for v in loose[:LISTED])
+            values += f", ... ({len(loose)} inputs)" if len(loose) > LISTED else ""
             warnings.append(f"{name}: not connected, start value used: {values}")
     ports = tuple(_port(p, names, fmus) for p in system.ports)
+    mapped = tuple(c.mapped for c in system.components)
     warnings += [w for p in system.ports for w in _lost_pairs(p, fmus[names.index(p.component)])]
-    return CheckedSystem(system.name, names, fmus, links, start, tuple(warnings), ports)
+    return CheckedSystem(system.name, names, fmus, links, start, tuple(warnings), ports, mapped)
 
 
 def _link(connection: Connection, names: tuple[str, ...], fmus: tuple[Fmu, ...]) -> Link:
@@ -120,9 +126,10 @@ def _link(connection: Connection, names: tuple[str, ...], fmus: tuple[Fmu, ...])
     if kinds[0] != kinds[1] and kinds != ["Integer", "Real"]:
         raise CosimError(f"connection {connection}: {output.type} cannot feed {taken.type}; connect equal types")
     factor, offset = 1.0, 0.0
-    if connection.convert_units and output.unit is not None and taken.unit is not None:
+    units = output.unit or connection.units[0], taken.unit or connection.units[1]
+    if connection.convert_units and units[0] is not None and units[1] is not None:
         try:
-            factor, offset = conversion(output.unit, taken.unit)
+            factor, offset = conversion(units[0], units[1])
         except ValueError as error:
             raise CosimError(f"connection {connection}: unit {error}; connect quantities of one kind") from error
     return Link(
@@ -165,15 +172,26 @@ def _makes_watt(effort: Unit | None, flow: Unit | None) -> bool:
 
 
 def _unitless(links: tuple[Link, ...], names: tuple[str, ...]) -> list[str]:
-    """Warnings for connections between a variable with unit and one without."""
-    return [
-        f"{names[k.source]}.{k.output.name} -> {names[k.target]}.{k.input.name}: only one end has a unit"
-        f" ('{(k.output.unit or k.input.unit or UNITLESS).name}'); the value is passed unchanged"
-        for k in links
-        if (k.output.unit is None) != (k.input.unit is None)
-        and (k.output.unit or k.input.unit or UNITLESS).exponents
-        and k.output.type == k.input.type
-    ]
+    """Warnings for connections between a variable with unit and one without; one for an FMU with many of them."""
+    found: dict[str, list[tuple[Link, str, str]]] = {}
+    for k in links:
+        unit = k.output.unit or k.input.unit or UNITLESS
+        if (k.output.unit is None) != (k.input.unit is None) and unit.exponents and k.output.type == k.input.type:
+            bare, variable = (k.source, k.output.name) if k.output.unit is None else (k.target, k.input.name)
+            found.setdefault(names[bare], []).append((k, variable, unit.name))
+    warnings = []
+    for name, group in found.items():
+        if len(group) > SINGLY:
+            listed = ", ".join(f"{variable} ({unit})" for _, variable, unit in group[:LISTED])
+            more = f", ... ({len(group)} connections)" if len(group) > LISTED else ""
+            warnings.append(f"{name}: no unit where the other end has one, values unchanged: {listed}{more}")
+            continue
+        warnings += [
+            f"{names[k.source]}.{k.output.name} -> {names[k.target]}.{k.input.name}: only one end has a unit"
+            f" ('{unit}'); the value is passed unchanged"
+            for k, _, unit in group
+        ]
+    return warnings
 
 
 def _start_value(component: ComponentInstance, variable: FmuVariable, given: StartValue) -> Value:
@@ -185,6 +203,8 @@ def _start_value(component: ComponentInstance, variable: FmuVariable, given: Sta
     value = _typed(where, variable, given.value)
     if isinstance(value, (bool, str)):
         return value
+    if isinstance(value, int) and not -(2**31) <= value < 2**31:
+        raise CosimError(f"{where}: does not fit an FMI integer of 32 bits")
     if given.unit is not None and variable.unit is not None:
         try:
             factor, offset = conversion(given.unit, variable.unit)
@@ -193,6 +213,10 @@ def _start_value(component: ComponentInstance, variable: FmuVariable, given: Sta
         value = factor * value + offset
     elif given.unit is not None and given.unit.exponents:
         raise CosimError(f"{where} {given.unit.name}: the FMU declares no unit for it; give the value without unit")
+    if isinstance(value, float):
+        value = given.factor * value + given.offset
+    elif (given.factor, given.offset) != (1.0, 0.0):
+        raise CosimError(f"{where}: an integer takes no factor or offset")
     if not math.isfinite(value):
         raise CosimError(f"{where}: is not finite")
     unit = f" {variable.unit.name}" if variable.unit else ""
@@ -205,6 +229,8 @@ def _start_value(component: ComponentInstance, variable: FmuVariable, given: Sta
 
 def _typed(where: str, variable: FmuVariable, value: Value) -> Value:
     number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if isinstance(value, int) and abs(value) >= 2**63:
+        raise CosimError(f"{variable.name}: an integer of {len(str(value))} digits is no value that can be set")
     if variable.type == "Real" and number:
         return float(value)
     if (

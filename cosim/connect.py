@@ -12,19 +12,13 @@ import argparse
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
-
-from lxml import etree
 
 from cosim.errors import CosimError
-from cosim.fmu import FmuVariable, read_fmu
-from cosim.ssp import PORTS
+from cosim.fmu import read_fmu
+from cosim.ssp_writer import write_ssd
 from cosim.system import ComponentInstance, Connection, Port, System
-from fmus_src.units import Unit
 
-_SSD = "http://ssp-standard.org/SSP1/SystemStructureDescription"
 FLOWS = {"force": ("velocity", "position"), "moment": ("angular_velocity", "")}
-_SSC = "http://ssp-standard.org/SSP1/SystemStructureCommon"
 
 
 def connect(fmus: Mapping[str, Path], ports: Mapping[str, str] | None = None) -> System:
@@ -57,40 +51,6 @@ def connect(fmus: Mapping[str, Path], ports: Mapping[str, str] | None = None) ->
     return System("system", components, tuple(connections), ports=_find_ports(fmus, connections))
 
 
-def write_ssd(system: System, path: Path) -> Path:
-    """Write a system; sources are `resources/NAME.fmu`, connectors are those connected."""
-    root = etree.Element(
-        f"{{{_SSD}}}SystemStructureDescription",
-        {"version": "1.0", "name": path.stem},
-        nsmap={"ssd": _SSD, "ssc": _SSC},
-    )
-    element = etree.SubElement(root, f"{{{_SSD}}}System", name=path.stem)
-    elements = etree.SubElement(element, f"{{{_SSD}}}Elements")
-    units: dict[str, Unit] = {}
-    for component in system.components:
-        item = etree.SubElement(
-            elements, f"{{{_SSD}}}Component", name=component.name, source=f"resources/{component.fmu.name}"
-        )
-        used = _connectors(system, component)
-        connectors = etree.SubElement(item, f"{{{_SSD}}}Connectors") if used else None  # the schema wants one at least
-        for variable, kind in used:
-            connector = etree.SubElement(connectors, f"{{{_SSD}}}Connector", name=variable.name, kind=kind)
-            typed = etree.SubElement(connector, f"{{{_SSC}}}{variable.type}")
-            if variable.unit is not None:
-                typed.set("unit", variable.unit.name)
-                units[variable.unit.name] = variable.unit
-    connections = etree.SubElement(element, f"{{{_SSD}}}Connections") if system.connections else None
-    for c in system.connections:
-        etree.SubElement(connections, f"{{{_SSD}}}Connection", startElement=c.source, startConnector=c.output,
-                         endElement=c.target, endConnector=c.input)  # fmt: skip
-    _write_ports(element, system.ports)
-    _write_units(root, units)
-    etree.SubElement(root, f"{{{_SSD}}}DefaultExperiment", startTime="0.0")
-    etree.indent(root)
-    path.write_bytes(etree.tostring(root, xml_declaration=True, encoding="UTF-8") + b"\n")
-    return path
-
-
 def _find_ports(fmus: Mapping[str, Path], connections: Sequence[Connection]) -> tuple[Port, ...]:
     """Mechanical ports: forces and moments that a component takes, each with the velocity that it has there.
 
@@ -116,18 +76,6 @@ def _find_ports(fmus: Mapping[str, Path], connections: Sequence[Connection]) -> 
     return tuple(ports)
 
 
-def _write_ports(parent: Any, ports: Sequence[Port]) -> None:
-    if not ports:
-        return
-    annotations = etree.SubElement(parent, f"{{{_SSD}}}Annotations")
-    annotation = etree.SubElement(annotations, f"{{{_SSC}}}Annotation", type=PORTS)
-    listed = etree.SubElement(annotation, "Ports")  # an annotation holds one element
-    for port in ports:
-        element = etree.SubElement(listed, "Port", name=port.name, component=port.component)
-        for effort, flow, position in port.pairs:
-            etree.SubElement(element, "Pair", effort=effort, flow=flow, **({"position": position} if position else {}))
-
-
 def _of(path: Path, causality: str) -> list[str]:
     return [v.name for v in read_fmu(path).variables.values() if v.causality == causality]
 
@@ -136,28 +84,6 @@ def _public_names(component: str, variable: str, known: Mapping[str, str]) -> li
     """Names by which others know `component.variable`."""
     full = f"{component}.{variable}"
     return [public + full[len(prefix) :] for prefix, public in known.items() if full.startswith(f"{prefix}.")]
-
-
-def _connectors(system: System, component: ComponentInstance) -> list[tuple[FmuVariable, str]]:
-    name, used = component.name, []
-    for variable in read_fmu(component.fmu).variables.values():
-        if any(c.target == name and c.input == variable.name for c in system.connections):
-            used.append((variable, "input"))
-        elif any(c.source == name and c.output == variable.name for c in system.connections):
-            used.append((variable, "output"))
-    return used
-
-
-def _write_units(root: Any, units: Mapping[str, Unit]) -> None:
-    if not units:
-        return
-    parent = etree.SubElement(root, f"{{{_SSD}}}Units")
-    for name in sorted(units):
-        element = etree.SubElement(parent, f"{{{_SSC}}}Unit", name=name)
-        base = {b: str(e) for b, e in units[name].exponents}
-        if units[name].factor != 1.0:
-            base["factor"] = repr(units[name].factor)
-        etree.SubElement(element, f"{{{_SSC}}}BaseUnit", base)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

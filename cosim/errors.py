@@ -5,9 +5,18 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
+LONGEST = 2000  # characters of a message; names in a file from elsewhere can be of any length
+
 
 class CosimError(ValueError):
-    """A system, a setting or a file that cannot be used; raised before the run starts."""
+    """A system, a setting or a file that cannot be used; raised before the run starts.
+
+    The message is cut to `LONGEST`, and holds nothing that a terminal would not print.
+    """
+
+    def __init__(self, message: str) -> None:
+        text = "".join(c if c.isprintable() else " " if c.isspace() else ascii(c)[1:-1] for c in str(message))
+        super().__init__(text if len(text) <= LONGEST else f"{text[:1200]} ... {text[-600:]}")
 
 
 class RunFailed(RuntimeError):

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import ctypes
-import hashlib
 import sys
-import zipfile
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from ctypes import c_char_p, c_double, c_int, c_size_t, c_uint, c_void_p
 from dataclasses import dataclass
 from functools import lru_cache
@@ -15,7 +13,7 @@ from typing import Any
 
 import fmpy
 
-from cosim import kernel
+from cosim import archive, kernel
 from cosim.errors import CosimError, RunFailed, nearest
 from fmus_src.units import Unit
 from fmus_src.units import unit as named_unit
@@ -93,15 +91,37 @@ def read_fmu(path: Path) -> Fmu:
     return _read(path, stat.st_mtime_ns, stat.st_size)
 
 
+def read_description(path: Path, *, validate: bool = True) -> Any:
+    """FMPy's model description of an FMU, its archive and XML looked through before FMPy reads them.
+
+    Args:
+        validate: whether a description against the schema is refused.
+
+    Raises:
+        CosimError: not a readable FMU.
+    """
+    try:
+        archive.parse_xml(archive.read_entry(path, "modelDescription.xml"), "modelDescription.xml")
+        return fmpy.read_model_description(str(path), validate=validate)
+    except Exception as error:  # fmpy and lxml raise many kinds
+        reason = " ".join(str(error).removeprefix(f"{path}: ").split())[:300]
+        raise CosimError(f"FMU {path}: cannot be read ({reason}); build it again") from error
+
+
 @lru_cache(maxsize=64)
 def _read(path: Path, modified: int, size: int) -> Fmu:
+    md = read_description(path)
     try:
-        with zipfile.ZipFile(path) as archive:
-            files = set(archive.namelist())
-        md = fmpy.read_model_description(str(path))
-    except Exception as error:  # fmpy and lxml raise many kinds
-        reason = " ".join(str(error).split())[:300]
-        raise CosimError(f"FMU {path}: cannot be read ({reason}); build it again") from error
+        return _taken_from(path, md, archive.entry_names(path))
+    except (KeyError, TypeError, AttributeError, OverflowError) as error:
+        raise CosimError(f"FMU {path}: its description contradicts itself ({error!r}); build it again") from error
+    except ValueError as error:
+        if isinstance(error, CosimError):
+            raise
+        raise CosimError(f"FMU {path}: has a value that is none ({error}); build it again") from error
+
+
+def _taken_from(path: Path, md: Any, files: Collection[str]) -> Fmu:
     if md.fmiVersion != "2.0" or md.coSimulation is None:
         kind = "model exchange" if md.coSimulation is None else f"FMI {md.fmiVersion}"
         raise CosimError(f"FMU {path}: is {kind}; export it as FMI 2.0 for co-simulation")
@@ -122,7 +142,7 @@ def _read(path: Path, modified: int, size: int) -> Fmu:
             feedthrough[unknown.variable.name] = tuple(n for n in names if variables[n].causality == "input")
     return Fmu(
         path=path,
-        sha256=hashlib.sha256(path.read_bytes()).hexdigest(),
+        sha256=archive.sha256(path),
         identifier=identifier,
         binary=binary,
         guid=md.guid,

@@ -25,7 +25,7 @@ import pyarrow.parquet as pq
 from cosim.checks import CheckedSystem
 from cosim.errors import CosimError, nearest
 from cosim.fmu import VARYING, FmuVariable
-from cosim.system import split_name
+from cosim.system import Mapped, split_name
 from fmus_src.units import conversion
 from fmus_src.units import unit as named_unit
 
@@ -98,11 +98,13 @@ def select_channels(
             continue
         owner, name = split_name(channel.variable, known)
         k = system.names.index(owner)
+        mapped = system.mapped[k].get(name) if system.mapped else None
+        name = mapped.name if mapped else name
         if name not in system.fmus[k].variables:
             hint = nearest(name, system.fmus[k].variables)
             warnings.append(f"channel {channel.name}: not recorded, {owner} has no variable '{name}'{hint}")
             continue
-        selected.append(_convert(channel, k, system.fmus[k].variables[name]))
+        selected.append(_convert(channel, k, system.fmus[k].variables[name], mapped))
     full = {f"{n}.{v.name}": (k, v) for k, n in enumerate(system.names) for v in system.fmus[k].variables.values()}
     raw: dict[str, tuple[int, FmuVariable]] = {}
     for pattern in patterns:
@@ -119,18 +121,22 @@ def select_channels(
     return tuple(selected), tuple(warnings)
 
 
-def _convert(channel: Channel, component: int, variable: FmuVariable) -> SelectedChannel:
+def _convert(channel: Channel, component: int, variable: FmuVariable, mapped: Mapped | None = None) -> SelectedChannel:
+    """Recorded value = factor * FMU value + offset; `mapped` says how the FMU's value follows from the system's."""
     description = channel.description or variable.description
     if variable.type == "String":
         raise CosimError(f"channel {channel.name}: {channel.variable} is text and cannot be recorded")
-    if channel.unit is None or variable.unit is None:
-        unit = channel.unit or (variable.unit.name if variable.unit else "1")
-        return SelectedChannel(channel.name, component, variable, unit, description)
+    back = (1.0 / mapped.factor, -mapped.offset / mapped.factor) if mapped and mapped.factor else (1.0, 0.0)
+    own = variable.unit or (mapped.unit if mapped else None)
+    if channel.unit is None or own is None:
+        unit = channel.unit or (own.name if own else "1")
+        return SelectedChannel(channel.name, component, variable, unit, description, *back)
     try:
-        factor, offset = conversion(variable.unit, named_unit(channel.unit))
+        factor, offset = conversion(own, named_unit(channel.unit))
     except ValueError as error:
         raise CosimError(f"channel {channel.name}: {channel.variable}: {error}") from error
-    return SelectedChannel(channel.name, component, variable, channel.unit, description, factor, offset)
+    factors = factor * back[0], factor * back[1] + offset
+    return SelectedChannel(channel.name, component, variable, channel.unit, description, *factors)
 
 
 class Recorder:

@@ -15,9 +15,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal, get_args
 
-import fmpy
 import pandas as pd
 
+from cosim.archive import extract
 from cosim.checks import CheckedSystem, check
 from cosim.errors import CosimError, RunFailed, nearest
 from cosim.fmu import Instance
@@ -290,7 +290,7 @@ class _Run:
         isolated = isolated_names(self.checked.names, s.isolate)
         for name, fmu in zip(self.checked.names, self.checked.fmus, strict=True):
             if fmu.path not in folders:
-                folders[fmu.path] = Path(fmpy.extract(str(fmu.path), str(unpacked / str(len(folders)))))
+                folders[fmu.path] = extract(fmu.path, unpacked / str(len(folders)))
             if name in isolated:
                 instances.append(IsolatedInstance(name, fmu, folders[fmu.path], s.start, s.call_timeout))
             else:

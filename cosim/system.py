@@ -10,30 +10,57 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from cosim.errors import CosimError, nearest
-from cosim.fmu import Value, read_fmu
-from fmus_src.units import Unit
+from cosim.fmu import Value
+from fmus_src.units import Unit, conversion
 
 
 @dataclass(frozen=True)
 class StartValue:
-    """A start value; `unit` is None for the FMU's own unit."""
+    """A start value; `unit` is None for the FMU's own unit. The FMU gets factor * converted value + offset."""
 
     value: Value
     unit: Unit | None = None
+    factor: float = 1.0
+    offset: float = 0.0
+
+
+@dataclass(frozen=True)
+class Mapped:
+    """What an FMU of other names has for a variable of the system: FMU's value = factor * system's + offset.
+
+    Attributes:
+        name: of the FMU's variable. convert: whether units are converted before the factor.
+        unit: the system's own for that variable; None if it has none.
+        unitless: the FMU declares none; it is then taken to have the system's.
+    """
+
+    name: str
+    factor: float = 1.0
+    offset: float = 0.0
+    convert: bool = True
+    unit: Unit | None = None
+    unitless: bool = False
 
 
 @dataclass(frozen=True)
 class ComponentInstance:
-    """A named use of an FMU, with start values of its parameters or inputs."""
+    """A named use of an FMU, with start values of its parameters or inputs.
+
+    `mapped` has the FMU's variables by the names that the system has for them, where these differ.
+    """
 
     name: str
     fmu: Path
     start: Mapping[str, StartValue] = field(default_factory=dict)
+    mapped: Mapping[str, Mapped] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Connection:
-    """source.output -> target.input; after unit conversion, input = factor * value + offset."""
+    """source.output -> target.input; after unit conversion, input = factor * value + offset.
+
+    `units` of output and input are the system's; they hold where the FMU declares none.
+    """
 
     source: str
     output: str
@@ -42,6 +69,7 @@ class Connection:
     factor: float = 1.0
     offset: float = 0.0
     convert_units: bool = True
+    units: tuple[Unit | None, Unit | None] = (None, None)
 
     def __str__(self) -> str:
         return f"{self.source}.{self.output} -> {self.target}.{self.input}"
@@ -107,36 +135,40 @@ def without(system: System, *names: str) -> System:
     )
 
 
-def with_swapped(system: System, name: str, fmu: Path) -> System:
-    """The system with another FMU for a component; start values of variables it lacks are left out and noted.
-
-    Raises:
-        CosimError: no such component, or not a usable FMU.
-    """
-    old = system.component(name)
-    known = read_fmu(fmu).variables
-    lost = sorted(n for n in old.start if n not in known)
-    notes = (f"{name}: {fmu.name} has no {', '.join(lost)}: left out of its start values",) if lost else ()
-    new = ComponentInstance(name, fmu, {n: v for n, v in old.start.items() if n in known})
-    return replace(
-        system,
-        components=tuple(new if c.name == name else c for c in system.components),
-        notes=system.notes + notes,
-    )
-
-
 def with_parameters(system: System, values: Mapping[str, StartValue | Value]) -> System:
     """The system with start values set, by `component.variable`; plain values are in the FMU's own units.
+
+    Where a component's FMU has other names than the system, either will do; a plain value by the system's name is in
+    the system's unit.
 
     Raises:
         CosimError: a name has no component of the system.
     """
-    names = {c.name for c in system.components}
+    components = {c.name: c for c in system.components}
     start = {c.name: dict(c.start) for c in system.components}
     for full, value in values.items():
-        owner, variable = split_name(full, names)
-        start[owner][variable] = value if isinstance(value, StartValue) else StartValue(value)
+        owner, variable = split_name(full, set(components))
+        given = value if isinstance(value, StartValue) else StartValue(value)
+        mapped = components[owner].mapped.get(variable)
+        if mapped is not None:
+            variable, given = mapped.name, _transformed(given, mapped)
+        start[owner][variable] = given
     return replace(system, components=tuple(replace(c, start=start[c.name]) for c in system.components))
+
+
+def _transformed(given: StartValue, mapped: Mapped) -> StartValue:
+    if isinstance(given.value, (bool, str)):
+        return given
+    value, unit = given.value, (given.unit or mapped.unit) if mapped.convert else None
+    if unit is not None and mapped.unitless:
+        if mapped.unit is not None:
+            try:
+                factor, offset = conversion(unit, mapped.unit)
+            except ValueError as error:
+                raise CosimError(f"{mapped.name} = {given.value:g}: unit {error}") from error
+            value = factor * value + offset if (factor, offset) != (1.0, 0.0) else value
+        unit = None
+    return StartValue(value, unit, mapped.factor * given.factor, mapped.factor * given.offset + mapped.offset)
 
 
 def split_name(full: str, components: set[str]) -> tuple[str, str]:

@@ -18,8 +18,9 @@ def read_toml(path: Path) -> dict[str, Any]:
     """
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise CosimError(f"{path}: cannot be read ({error})") from error
+    except (OSError, ValueError, RecursionError) as error:
+        reason = " ".join(str(error).split())[:300]
+        raise CosimError(f"{path}: cannot be read ({reason})") from error
 
 
 class TomlReader:
@@ -42,7 +43,7 @@ class TomlReader:
         value = self._table.get(key, default)
         if value is None:
             raise CosimError(f"{self._path}: '{self._prefix}{key}' is missing; add it")
-        if kind is float and isinstance(value, int) and not isinstance(value, bool):
+        if kind is float and isinstance(value, int) and not isinstance(value, bool) and abs(value) < 2**63:
             value = float(value)
         if not isinstance(value, kind) or (kind is int and isinstance(value, bool)):
             raise CosimError(f"{self._path}: '{self._prefix}{key}' = {value!r} should be a {kind.__name__}")

@@ -10,11 +10,12 @@ import pytest
 
 from cosim.case import case_folder
 from cosim.checks import check
-from cosim.connect import write_ssd
 from cosim.errors import CosimError
 from cosim.fmu import read_fmu
 from cosim.graph import algebraic_loops, step_order
 from cosim.ssp import read_parameters, read_system
+from cosim.ssp_writer import write_ssd
+from cosim.swap import NameRule, with_swapped
 from cosim.system import (
     ComponentInstance,
     Connection,
@@ -23,7 +24,6 @@ from cosim.system import (
     System,
     Value,
     with_parameters,
-    with_swapped,
     without,
 )
 from fmus_src.component import Component
@@ -124,10 +124,11 @@ DTD = '<!DOCTYPE x [<!ENTITY e SYSTEM "file:///etc/hostname">]>'
 BAD_FILES = [
     ({"elements": '<ssd:Component name="a" source="none.fmu"/>'}, r"component 'a': none.fmu is not in .*build it"),
     ({"elements": '<ssd:Component name="a"/>'}, "component 'a' has no source"),
-    ({"elements": '<ssd:System name="inner"/>'}, "System 'inner' is not supported"),
+    ({"elements": '<ssd:SignalDictionaryReference name="d"/>'}, "SignalDictionaryReference 'd' is not supported"),
     ({"elements": '<ssd:Component name="a" source="probe.fmu"/>' * 2}, "component 'a' appears twice"),
     ({"inner": binding(attributes='source="lost.ssv"')}, r"lost.ssv: cannot be read \(no such file\)"),
-    ({"inner": binding("<ssd:ParameterMapping/>")}, "ParameterMapping is not supported"),
+    ({"inner": binding(inline("") + "<ssd:ParameterMapping/>")}, "ParameterMapping has neither source nor"),
+    ({"inner": binding(attributes='source="http://elsewhere/x.ssv"')}, "is no path relative to the file"),
     ({"inner": binding(attributes='source="x.ssv" sourceBase="component"')}, "sourceBase='component' is not supported"),
     ({"inner": binding(inline(real("mass", 1.0, "furlong")))}, "parameter 'mass' = '1.0': unknown unit 'furlong'"),
     ({"bindings": binding(inline(real("c.mass", 1.0)))}, "'c.mass': no component 'c'"),
@@ -146,11 +147,11 @@ def test_bad_files_are_refused(
     assert "\n" not in str(refused.value)
 
 
-def test_the_systems_own_connectors_are_noted(write: Callable[..., Path], fmus: dict[str, Path]) -> None:
-    loose = '<ssd:Connection startElement="a" startConnector="through" endConnector="y"/>'
+def test_inputs_fed_from_outside_are_noted(write: Callable[..., Path], fmus: dict[str, Path]) -> None:
+    loose = '<ssd:Connection startConnector="y" endElement="a" endConnector="u"/>'
     system = read_system(write(loose), [fmus["probe"].parent])
     assert system.connections == ()
-    assert "a.through" in system.notes[0]
+    assert "a.u to the system's own connector 'y'" in system.notes[0]
 
 
 def wired(fmus: dict[str, Path], *connections: Connection, **start: Value) -> System:
@@ -216,7 +217,8 @@ def test_changes_leave_the_original_alone(fmus: dict[str, Path]) -> None:
     assert without(system, "damper").connections == ()
     tuned = with_parameters(system, {"damper.k": 4.0})
     assert check(tuned).start[1]["k"] == 4.0
-    swapped = with_swapped(tuned, "damper", fmus["probe"])
+    rules = [NameRule("point", "u"), NameRule("force", "through")]
+    swapped = with_swapped(tuned, "damper", fmus["probe"], rules)
     assert swapped.component("damper").fmu == fmus["probe"]
     assert swapped.notes == ("damper: probe.fmu has no k, m, x_0: left out of its start values",)
     assert "k" not in system.component("damper").start

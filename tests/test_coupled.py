@@ -18,9 +18,10 @@ from scipy.signal import find_peaks
 from cosim.case import read_case, shipped_cases, with_damper
 from cosim.checks import check
 from cosim.cli.run import Changes, prepare
-from cosim.connect import connect, write_ssd
+from cosim.connect import connect
 from cosim.run import RunResult, simulate
 from cosim.ssp import read_system
+from cosim.ssp_writer import write_ssd
 from fmus_src.library import build_library
 
 CASES = shipped_cases()

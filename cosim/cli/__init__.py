@@ -12,9 +12,11 @@ from cosim.cli import (
     compare,
     converge,
     identify,
+    inspect,
     linearise,
     listing,
     optimise,
+    package,
     report,
     run,
     sensitivity,
@@ -33,6 +35,7 @@ app = typer.Typer(
 )
 app.command("build")(build.build)
 app.command("run")(run.run)
+app.command("export")(package.export)
 app.command("compare")(compare.compare)
 app.command("campaign")(campaign.campaign)
 app.command("converge")(converge.converge)
@@ -42,6 +45,8 @@ app.command("linearise")(linearise.linearise)
 app.command("map")(sensitivity.fitness_map)
 app.command("report")(report.report)
 app.command("verify")(verify.verify)
+app.command("inspect")(inspect.inspect)
+app.command("validate")(inspect.validate)
 app.command("list")(listing.list_all)
 
 

@@ -26,7 +26,8 @@ from cosim.errors import CosimError
 from cosim.fmu import read_fmu
 from cosim.recording import read_results
 from cosim.run import simulate
-from cosim.system import System, with_parameters, with_swapped
+from cosim.swap import with_swapped
+from cosim.system import System, with_parameters
 from optimisation.baselines import Primary, stiffness_and_damping, warburton
 from optimisation.receptance import Damper, LinearModel, Mode, estimate, fit_mode
 from optimisation.spectral import SpectralResponse

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
@@ -19,14 +20,23 @@ from cosim.cli.console import Format, FormatOption, emit, err, note, number, out
 from cosim.errors import CosimError, RunFailed, nearest
 from cosim.recording import read_channels
 from cosim.run import Progress, RunResult, RunSettings, simulate
-from cosim.ssp import read_parameters, read_system
-from cosim.system import System, with_parameters, with_swapped, without
+from cosim.ssp import read_mapping, read_parameters, read_system
+from cosim.swap import NameRule, with_swapped
+from cosim.system import System, split_name, with_parameters, without
 
 MAIN_CHANNELS = ("PtfmPitch", "TTDspFA", "TwrBsMyt", "RootMyc1", "GenPwr")
 
 SetOption = Annotated[list[str] | None, typer.Option("--set", metavar="COMPONENT.PARAM=VALUE", help="Set a parameter.")]
 SwapOption = Annotated[
     list[str] | None, typer.Option("--swap", metavar="COMPONENT=FILE.fmu", help="Use another FMU for a component.")
+]
+MapOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--map",
+        metavar="COMPONENT.NAME=NAME",
+        help="What a swapped FMU calls a variable, '-' if it has none; or a mapping file, FILE.ssm.",
+    ),
 ]
 SsvOption = Annotated[list[Path] | None, typer.Option("--ssv", help="Parameter set file, such as tuned.ssv.")]
 SeedOption = Annotated[int | None, typer.Option(min=0, help="Seed of wind and sea.")]
@@ -59,6 +69,7 @@ class Changes:
     """
 
     swap: Sequence[str] = ()
+    map: Sequence[str] = ()
     set: Sequence[str] = ()
     ssv: Sequence[Path] = ()
     seed: int | None = None
@@ -71,9 +82,10 @@ class Changes:
 
 
 def run(
-    case: Annotated[str, typer.Argument(help="Load case: a name ('fowt list') or a .toml file.")],
+    case: Annotated[str, typer.Argument(help="Load case: a name ('fowt list') or a .toml file; or a package, .ssp.")],
     damper: Annotated[str | None, typer.Option(help="Damper arrangement: none, tmd-n, tmd-p, mtmd.")] = None,
     swap: SwapOption = None,
+    map_: MapOption = None,
     set_: SetOption = None,
     ssv: SsvOption = None,
     seed: SeedOption = None,
@@ -97,6 +109,7 @@ def run(
 ) -> None:
     """Co-simulate a load case and write results.parquet, summary.json, run.json and run.png.
 
+    A package (FILE.ssp), --swap and --fmus load binaries of the files that you name.
     Example: [bold]fowt run lc4 --damper mtmd --set nacelle_damper.k=6302 --seed 2[/bold]
     """
     stepping = {
@@ -107,11 +120,20 @@ def run(
     chosen_stepping = [f"--{name.replace('_', '-').removesuffix('s')}" for name, v in stepping.items() if v is not None]
     if monolithic and chosen_stepping:
         raise CosimError(f"{chosen_stepping[0]} is for coupled components; --monolithic has one: leave either out")
-    changes = Changes(swap or (), set_ or (), ssv or (), seed, until, step, fmus, record or (), stepping, monolithic)
-    chosen = read_case(case)
+    changes = Changes(
+        swap or (), map_ or (), set_ or (), ssv or (), seed, until, step, fmus, record or (), stepping, monolithic
+    )
     quiet = output is Format.JSON
-    with simulation_progress(quiet) as progress:
-        prepared = prepare(chosen, damper, changes, quiet=quiet)
+    with (
+        simulation_progress(quiet) as progress,
+        tempfile.TemporaryDirectory(prefix="fowt-", ignore_cleanup_errors=True) as unpacked,
+    ):
+        if case.lower().endswith(".ssp"):
+            from cosim.cli.package import prepare_package
+
+            prepared = prepare_package(Path(case), damper, changes, Path(unpacked))
+        else:
+            prepared = prepare(read_case(case), damper, changes, quiet=quiet)
         task = progress.add_task(prepared.label, total=prepared.settings.stop)
         result = prepared.execute(folder, lambda t, *_: progress.update(task, completed=t))
     for line in result.warnings:
@@ -175,13 +197,10 @@ def prepare(
     if case.wind and case.wind.parameter.split(".")[0] not in left_out:
         values[case.wind.parameter] = str(wind_file(case, seed, settings.stop, quiet))
     system = with_parameters(system, {n: v for n, v in values.items() if n.split(".")[0] not in left_out})
-    for item in changes.swap:
-        component, replacement = _pair(item, "--swap", "COMPONENT=FILE.fmu")
-        system = with_swapped(system, component, Path(replacement))
+    system = swapped(system, changes)
     for file in changes.ssv:
         system = with_parameters(system, qualified(read_parameters(file), arrangement, system))
-    given = dict(_pair(item, "--set", "COMPONENT.PARAM=VALUE") for item in changes.set)
-    system = with_parameters(system, {n: _value(text) for n, text in given.items()})
+    system = with_settings(system, changes)
     label = f"{case.name}-{name}" + (f"-seed{seed}" if case.seed_parameters else "")
     about: dict[str, str | int] = {"case": case.name, "damper": name, "seed": seed}
     prepared = Prepared(label, system, replace(settings, about=about), case.step)
@@ -190,6 +209,49 @@ def prepare(
 
         return as_one(prepared, quiet=quiet)
     return prepared
+
+
+def swapped(system: System, changes: Changes) -> System:
+    """The system with the FMUs of --swap, their names mapped by --map.
+
+    Raises:
+        CosimError: a name is unknown, or a file cannot be used.
+    """
+    rules: dict[str, list[NameRule]] = {c.name: [] for c in system.components}
+    for item in changes.map:
+        for component, rule in _rules(item, set(rules)):
+            rules[component].append(rule)
+    given = dict(_pair(item, "--swap", "COMPONENT=FILE.fmu") for item in changes.swap)
+    for component, own in rules.items():
+        if own and component not in given:
+            raise CosimError(f"--map {component}.{own[0].variable}: add --swap {component}=FILE.fmu")
+    for component, file in given.items():
+        system = with_swapped(system, component, Path(file), rules.get(component, ()))
+    return system
+
+
+def _rules(item: str, names: set[str]) -> list[tuple[str, NameRule]]:
+    """Component and rule of each entry of a --map."""
+    if "=" not in item and item.lower().endswith(".ssm"):
+        found = []
+        for e in read_mapping(Path(item)):
+            component, variable = split_name(e.source, names)
+            target = e.target.removeprefix(f"{component}.")
+            found.append((component, NameRule(variable, target, e.factor, e.offset, e.convert)))
+        return found
+    full, target = _pair(item, "--map", "COMPONENT.NAME=NAME, or FILE.ssm")
+    component, variable = split_name(full, names)
+    return [(component, NameRule(variable, target))]
+
+
+def with_settings(system: System, changes: Changes) -> System:
+    """The system with the values of --set.
+
+    Raises:
+        CosimError: a component is unknown.
+    """
+    given = dict(_pair(item, "--set", "COMPONENT.PARAM=VALUE") for item in changes.set)
+    return with_parameters(system, {n: _value(text) for n, text in given.items()})
 
 
 def _settings(case: LoadCase, changes: Changes, again: bool = False) -> RunSettings:

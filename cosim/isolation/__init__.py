@@ -156,7 +156,7 @@ class IsolatedInstance(Instance):
     def _loss(self, time: float) -> str:
         """One line on how the process was lost, during the call for time `time`, s."""
         self._reap()
-        how = f"did not answer within {self._hung:g} s" if self._hung else _end(self._process.returncode)
+        how = f"did not answer within {self._hung:g} s" if self._hung else describe_end(self._process.returncode)
         call = self._call_of_python
         if self._page is not None and not call:
             call, time = native.CALLS[self._page.call], self._time(self._page.call, time)
@@ -221,7 +221,7 @@ def isolated_names(names: Sequence[str], isolate: Sequence[str]) -> frozenset[st
     return frozenset(names if "all" in chosen else chosen)
 
 
-def _end(code: int) -> str:
+def describe_end(code: int) -> str:
     """How a process with this return code ended."""
     if code < 0:
         return f"died ({next((s.name for s in signal.Signals if s == -code), f'signal {-code}')})"

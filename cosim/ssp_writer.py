@@ -1,0 +1,286 @@
+"""Systems written as SSP: a structure description (.ssd), or a package (.ssp) with all that it takes to run."""
+
+from __future__ import annotations
+
+import re
+import zipfile
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal, TypeGuard
+from urllib.parse import quote
+
+from lxml import etree
+
+from cosim.checks import CheckedSystem, Link, check
+from cosim.errors import CosimError
+from cosim.fmu import FmuVariable, Value, read_fmu
+from cosim.run import RunSettings
+from cosim.ssp import PORTS, RUN, STRUCTURE
+from cosim.system import ComponentInstance, Port, System
+from fmus_src.units import Unit
+
+Version = Literal["1.0", "2.0"]
+VERSIONS: tuple[Version, ...] = ("1.0", "2.0")
+# SSP 2.0 has kept the namespaces of 1.0
+_SSP = "http://ssp-standard.org/SSP1/SystemStructure"
+_SSD, _SSC, _SSV, _SSM = (f"{_SSP}{kind}" for kind in ("Description", "Common", "ParameterValues", "ParameterMapping"))
+_OSP = "http://opensimulationplatform.com/SSP/OSPAnnotations"
+_EPOCH = (1980, 1, 1, 0, 0, 0)  # the same system gives the same bytes
+
+
+def write_ssd(system: System, path: Path) -> Path:
+    """Write a system; sources are `resources/NAME.fmu`, connectors are those connected."""
+    sources = {c.name: f"resources/{c.fmu.name}" for c in system.components}
+    root = _structure(system, path.stem, sources, "1.0")
+    etree.SubElement(root, f"{{{_SSD}}}DefaultExperiment", startTime="0.0")
+    path.write_bytes(_text(root))
+    return path
+
+
+def write_package(
+    system: System, settings: RunSettings, path: Path, version: Version = "1.0", *, mappings: bool = True
+) -> Path:
+    """Write a system as a package: structure, FMUs, parameter sets and the files that parameters name.
+
+    Each component that has start values gets a parameter set `resources/COMPONENT.ssv`, in the FMU's units and by the
+    system's names; where its FMU has other names, `resources/COMPONENT.ssm` maps them. Connections carry their
+    conversion of units as a factor, since some tools do not convert. Files named by text parameters are put into
+    resources/, and named without folder.
+
+    Args:
+        mappings: if not, parameter sets go by the FMUs' own names, for tools that read no `.ssm`.
+
+    Raises:
+        CosimError: the system cannot run, or the file exists or cannot be written.
+    """
+    if version not in VERSIONS:
+        raise CosimError(f"SSP {version}: there are {' and '.join(VERSIONS)}")
+    if path.exists():
+        raise CosimError(f"{path}: exists; choose another name (nothing is overwritten)")
+    checked = check(system)
+    content = _Content()
+    sources = {c.name: content.file(c.fmu, c.name) for c in system.components}
+    root = _structure(system, path.stem, sources, version, checked.links)
+    elements = root.iterfind(f".//{{{_SSD}}}Component")
+    for element, component, start in zip(elements, system.components, checked.start, strict=True):
+        if start:
+            _bind(element, component, start, content, version, mappings)
+    root.append(_experiment(settings, checked))
+    content.entries[STRUCTURE] = _text(root)
+    scratch = path.with_name(f"{path.name}.part")
+    try:
+        content.pack(scratch)
+        scratch.replace(path)
+    except OSError as error:
+        raise CosimError(f"{path}: cannot be written ({error.strerror or error}); choose another place") from error
+    finally:
+        scratch.unlink(missing_ok=True)
+    return path
+
+
+class _Content:
+    """What goes into a package: texts, and files under names that no other has."""
+
+    def __init__(self) -> None:
+        self.entries: dict[str, bytes | Path] = {}
+        self._names: dict[Path, str] = {}
+
+    def file(self, path: Path, owner: str) -> str:
+        """Name within the package of a file; one that several use is put there once."""
+        place = path.resolve()
+        if place not in self._names:
+            self._names[place] = self.free(path.name, owner)
+            self.entries[self._names[place]] = place
+        return self._names[place]
+
+    def free(self, name: str, owner: str) -> str:
+        """A free name in resources/, with the owner's before it if need be."""
+        plain = re.sub(r"[^\w.\-+]", "_", name).strip(".") or "file"
+        prefix = re.sub(r"[^\w\-]", "_", owner)
+        taken = {n.casefold() for n in self.entries}
+        tries = [plain, *(f"{prefix}{'-' * i}{plain}" for i in range(1, len(taken) + 2))]
+        return next(f"resources/{n}" for n in tries if f"resources/{n}".casefold() not in taken)
+
+    def pack(self, path: Path) -> None:
+        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as package:
+            for name, content in sorted(self.entries.items(), key=lambda item: (item[0] != STRUCTURE, item[0])):
+                info = zipfile.ZipInfo(name, _EPOCH)
+                packed_already = name.endswith(".fmu")
+                info.compress_type = zipfile.ZIP_STORED if packed_already else zipfile.ZIP_DEFLATED
+                package.writestr(info, content if isinstance(content, bytes) else content.read_bytes())
+
+
+def _structure(
+    system: System, name: str, sources: Mapping[str, str], version: Version, links: Sequence[Link] = ()
+) -> Any:
+    """The root element; `links` are the checked connections, whose conversions are then written as factors."""
+    root = etree.Element(
+        f"{{{_SSD}}}SystemStructureDescription", {"version": version, "name": name}, nsmap={"ssd": _SSD, "ssc": _SSC}
+    )
+    element = etree.SubElement(root, f"{{{_SSD}}}System", name=name)
+    elements = etree.SubElement(element, f"{{{_SSD}}}Elements")
+    units: dict[str, Unit] = {}
+    for component in system.components:
+        source = quote(sources[component.name])
+        item = etree.SubElement(elements, f"{{{_SSD}}}Component", name=component.name, source=source)
+        used = _connectors(system, component)
+        connectors = etree.SubElement(item, f"{{{_SSD}}}Connectors") if used else None  # the schema wants one at least
+        for variable, kind in used:
+            connector = etree.SubElement(connectors, f"{{{_SSD}}}Connector", name=variable.name, kind=kind)
+            typed = etree.SubElement(connector, f"{{{_SSC}}}{_type(variable)}")
+            if _defined(variable.unit):
+                typed.set("unit", variable.unit.name)
+                units[variable.unit.name] = variable.unit
+    connections = etree.SubElement(element, f"{{{_SSD}}}Connections") if system.connections else None
+    for i, c in enumerate(system.connections):
+        written = etree.SubElement(connections, f"{{{_SSD}}}Connection", startElement=c.source, startConnector=c.output,
+                                   endElement=c.target, endConnector=c.input)  # fmt: skip
+        if links and (links[i].factor, links[i].offset) != (1.0, 0.0):
+            written.set("suppressUnitConversion", "true")
+            etree.SubElement(written, f"{{{_SSC}}}LinearTransformation", factor=repr(links[i].factor),
+                             offset=repr(links[i].offset))  # fmt: skip
+    _write_ports(element, system.ports)
+    _write_units(root, units, _SSD)
+    return root
+
+
+def _bind(
+    element: Any,
+    component: ComponentInstance,
+    start: Mapping[str, Value],
+    content: _Content,
+    version: Version,
+    mappings: bool,
+) -> None:
+    """Add a component's parameter set, and its mapping where the FMU has other names than the system."""
+    public = {m.name: name for name, m in component.mapped.items() if m.name in start and mappings}
+    renamed = any(name != fmu_name for fmu_name, name in public.items())
+    names = {n: public.get(n, n) for n in start}
+    if len(set(names.values())) < len(names):  # the FMU has, for something else, a name that the system uses too
+        names, renamed = {n: n for n in start}, False
+    variables = read_fmu(component.fmu).variables
+    ssv = content.free(f"{component.name}.ssv", component.name)
+    content.entries[ssv] = _parameter_set(
+        component.name, {names[n]: (variables[n], v) for n, v in start.items()}, version,
+        lambda text: content.file(Path(text), component.name).removeprefix("resources/"),
+    )  # fmt: skip
+    parent = etree.SubElement(element, f"{{{_SSD}}}ParameterBindings")
+    binding = etree.SubElement(parent, f"{{{_SSD}}}ParameterBinding", source=quote(ssv))
+    if renamed:
+        ssm = content.free(f"{component.name}.ssm", component.name)
+        mapping = etree.Element(f"{{{_SSM}}}ParameterMapping", {"version": version}, nsmap={"ssm": _SSM, "ssc": _SSC})
+        for fmu_name, name in names.items():
+            etree.SubElement(mapping, f"{{{_SSM}}}MappingEntry", source=name, target=fmu_name)
+        content.entries[ssm] = _text(mapping)
+        etree.SubElement(binding, f"{{{_SSD}}}ParameterMapping", source=quote(ssm))
+
+
+def _parameter_set(
+    name: str, values: Mapping[str, tuple[FmuVariable, Value]], version: Version, packed: Callable[[str], str]
+) -> bytes:
+    """The text of a parameter set; `packed` puts a file into the package and returns its name there."""
+    root = etree.Element(
+        f"{{{_SSV}}}ParameterSet", {"version": version, "name": name}, nsmap={"ssv": _SSV, "ssc": _SSC}
+    )
+    parameters, units = etree.SubElement(root, f"{{{_SSV}}}Parameters"), dict[str, Unit]()
+    for parameter, (variable, value) in values.items():
+        element = etree.SubElement(parameters, f"{{{_SSV}}}Parameter", name=parameter)
+        if isinstance(value, str):
+            value = packed(value) if value and _is_file(value) else value
+        text = (
+            str(value).lower() if isinstance(value, bool) else repr(value) if isinstance(value, float) else str(value)
+        )
+        typed = etree.SubElement(element, f"{{{_SSV}}}{_type(variable)}", value=text)
+        if _defined(variable.unit):
+            typed.set("unit", variable.unit.name)
+            units[variable.unit.name] = variable.unit
+    _write_units(root, units, _SSV)
+    return _text(root)
+
+
+def _experiment(settings: RunSettings, checked: CheckedSystem) -> Any:
+    """Times, and as annotations what SSP has no place for: step and channels for us, step for libcosim."""
+    times = {"startTime": repr(settings.start), "stopTime": repr(settings.stop)}
+    element = etree.Element(f"{{{_SSD}}}DefaultExperiment", times)
+    annotations = etree.SubElement(element, f"{{{_SSD}}}Annotations")
+    ours = etree.SubElement(annotations, f"{{{_SSC}}}Annotation", type=RUN)
+    run = etree.SubElement(ours, "Run", step=repr(settings.step), transient=repr(settings.transient),
+                           recordEvery=str(settings.decimation))  # fmt: skip
+    for channel in settings.channels:
+        owner = next((k for k, n in enumerate(checked.names) if channel.variable.startswith(f"{n}.")), None)
+        if owner is None:
+            continue
+        variable = channel.variable[len(checked.names[owner]) + 1 :]
+        mapped = checked.mapped[owner].get(variable)
+        if (mapped and (mapped.factor, mapped.offset) != (1.0, 0.0)) or (
+            (name := mapped.name if mapped else variable) not in checked.fmus[owner].variables
+        ):
+            continue
+        about = {"name": channel.name, "variable": f"{checked.names[owner]}.{name}"}
+        about |= {"unit": channel.unit} if channel.unit is not None else {}
+        etree.SubElement(run, "Output", about | ({"description": channel.description} if channel.description else {}))
+    theirs = etree.SubElement(
+        annotations, f"{{{_SSC}}}Annotation", {"type": "com.opensimulationplatform"}, nsmap={"osp": _OSP}
+    )
+    algorithm = etree.SubElement(theirs, f"{{{_OSP}}}Algorithm")  # libcosim takes no attribute here, xmlns neither
+    etree.SubElement(algorithm, f"{{{_OSP}}}FixedStepAlgorithm", baseStepSize=repr(settings.step))
+    return element
+
+
+def _write_ports(parent: Any, ports: Sequence[Port]) -> None:
+    if not ports:
+        return
+    annotations = etree.SubElement(parent, f"{{{_SSD}}}Annotations")
+    annotation = etree.SubElement(annotations, f"{{{_SSC}}}Annotation", type=PORTS)
+    listed = etree.SubElement(annotation, "Ports")  # an annotation holds one element
+    for port in ports:
+        element = etree.SubElement(listed, "Port", name=port.name, component=port.component)
+        for effort, flow, position in port.pairs:
+            etree.SubElement(element, "Pair", effort=effort, flow=flow, **({"position": position} if position else {}))
+
+
+def _connectors(system: System, component: ComponentInstance) -> list[tuple[FmuVariable, str]]:
+    name, used = component.name, []
+    taken = {c.input for c in system.connections if c.target == name}
+    given = {c.output for c in system.connections if c.source == name}
+    for variable in read_fmu(component.fmu).variables.values():
+        if variable.name in taken:
+            used.append((variable, "input"))
+        elif variable.name in given:
+            used.append((variable, "output"))
+    return used
+
+
+def _write_units(root: Any, units: Mapping[str, Unit], namespace: str) -> None:
+    if not units:
+        return
+    parent = etree.SubElement(root, f"{{{namespace}}}Units")
+    for name in sorted(units):
+        element = etree.SubElement(parent, f"{{{_SSC}}}Unit", name=name)
+        base = {b: str(e) for b, e in units[name].exponents}
+        if units[name].factor != 1.0:
+            base["factor"] = repr(units[name].factor)
+        if units[name].offset:
+            base["offset"] = repr(units[name].offset)
+        etree.SubElement(element, f"{{{_SSC}}}BaseUnit", base)
+
+
+def _defined(unit: Unit | None) -> TypeGuard[Unit]:
+    """Whether a unit can be written; one without definition stands for itself only."""
+    return unit is not None and {b for b, _ in unit.exponents} <= {"kg", "m", "s", "A", "K", "mol", "cd", "rad"}
+
+
+def _type(variable: FmuVariable) -> str:
+    return "Integer" if variable.type == "Enumeration" else variable.type
+
+
+def _is_file(text: str) -> bool:
+    try:
+        return Path(text).is_file()
+    except (OSError, ValueError):
+        return False
+
+
+def _text(root: Any) -> bytes:
+    etree.indent(root)
+    return bytes(etree.tostring(root, xml_declaration=True, encoding="UTF-8")) + b"\n"
