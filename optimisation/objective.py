@@ -24,6 +24,8 @@ from fmpy.fmi2 import (
     fmi2Warning,
 )
 
+from optimisation.stability import check_parameters
+
 Array = npt.NDArray[np.float64]
 DamperName = Literal["tmd-n", "tmd-p", "mtmd"]
 FITNESS = "tower_top_displacement_std"
@@ -111,7 +113,7 @@ class TowerTopDeviation:
     interpreter lock. Results do not depend on the number of workers.
 
     Args:
-        fmu: the simplified model.
+        fmu: the simplified model; the file, or the folder that it was unpacked into.
         variables: names of the parameters that a candidate gives.
         parameters: values of others, the same for all candidates (an identified parameter set, say).
         horizon: length of the decay, s (paper: not given; 100 s reproduces table 4).
@@ -122,7 +124,8 @@ class TowerTopDeviation:
         first_failure: message of the first candidate that could not be evaluated, or None.
 
     Raises:
-        ValueError: the FMU lacks one of the variables, or is no co-simulation FMU.
+        ValueError: the FMU lacks one of the variables, or is no co-simulation FMU; a parameter is outside its limits,
+            or the structure is unstable with them.
     """
 
     shape: tuple[int, ...] = ()
@@ -147,9 +150,12 @@ class TowerTopDeviation:
                 raise ValueError(f"{fmu.name} has no variable '{name}': is it the simplified model's FMU?")
         if self._description.coSimulation is None:
             raise ValueError(f"{fmu.name} is no co-simulation FMU: export it with co-simulation")
+        check_parameters(self._description, self.fixed)
         self._known = known
-        self._folder = tempfile.mkdtemp(prefix="fowt-fmu-")
-        extract(str(fmu), self._folder)
+        self._temporary = None if fmu.is_dir() else tempfile.mkdtemp(prefix="fowt-fmu-")
+        self._folder = self._temporary or str(fmu)
+        if self._temporary:
+            extract(str(fmu), self._temporary)
         self._workers = workers
         self._messages: list[str] = []
         self._callbacks = _collecting(self._messages)
@@ -168,7 +174,8 @@ class TowerTopDeviation:
         for slave in self._slaves:
             slave.freeInstance()
         self._slaves = []
-        shutil.rmtree(self._folder, ignore_errors=True)
+        if self._temporary:
+            shutil.rmtree(self._temporary, ignore_errors=True)
 
     def __call__(self, candidates: Array) -> Array:
         """Fitness in m, shape (n, *shape), of candidates of shape (n, variables); nan where the simulation failed."""

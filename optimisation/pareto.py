@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -11,6 +12,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
+from fmpy.fmi1 import FMICallException
+from fmpy.fmi2 import fmi2Warning
 from pymoo.util.nds.non_dominated_sorting import find_non_dominated
 
 from optimisation.checkpoint import write_atomically
@@ -35,16 +38,47 @@ class DeviationAndStroke(TowerTopDeviation):
     def _simulate(self, slave: Any) -> Any:
         present = [n.removesuffix(".active") for n, on in self.fixed.items() if n.endswith(".active") and on]
         references = [self._known[f"{name}.relative_displacement"].valueReference for name in present]
-        count = max(1, round(self.horizon / SAMPLE))
-        times = np.linspace(0.0, self.horizon, count + 1)
-        samples = np.empty((count + 1, len(present)))
-        samples[0] = slave.getReal(references)
+        samples = sampled(slave, references, np.linspace(0.0, self.horizon, max(1, round(self.horizon / SAMPLE)) + 1))
         self.initial_stroke = float(np.abs(samples[0]).max())
-        for i in range(count):
-            slave.doStep(currentCommunicationPoint=times[i], communicationStepSize=times[i + 1] - times[i])
-            samples[i + 1] = slave.getReal(references)
         deviation = float(slave.getReal([self._known[FITNESS].valueReference])[0])
         return np.array([deviation, max(peak(samples[:, j]) for j in range(len(present)))])
+
+
+def sampled(slave: Any, references: Sequence[int], times: Array) -> Array:
+    """Values of an initialised FMU's real variables at times, shape (times, variables), stepping from each to the next.
+
+    The FMU's functions are called directly with arrays made once: FMPy's own calls take ten times as long as a step.
+
+    Args:
+        slave: FMPy's instance, at times[0].
+
+    Raises:
+        FMICallException: a call failed.
+    """
+    count, component = len(references), slave.component
+    samples = np.empty((times.size, count))
+    numbers, values = (ctypes.c_uint * count)(*references), samples.ctypes.data
+    step = _function(slave, "fmi2DoStep", ctypes.c_double, ctypes.c_double, ctypes.c_int)
+    get = _function(slave, "fmi2GetReal", ctypes.c_void_p, ctypes.c_size_t, ctypes.c_void_p)
+    status, name = get(component, numbers, count, values), "fmi2GetReal"
+    width, starts, lengths = samples.strides[0], times[:-1].tolist(), np.diff(times).tolist()
+    for start, length in zip(starts, lengths, strict=True):
+        if status > fmi2Warning:
+            break
+        status, name = step(component, start, length, 1), "fmi2DoStep"
+        if status <= fmi2Warning:
+            values += width
+            status, name = get(component, numbers, count, values), "fmi2GetReal"
+    if status > fmi2Warning:
+        raise FMICallException(name, status)
+    return samples
+
+
+def _function(slave: Any, name: str, *arguments: Any) -> Any:
+    """A function of the FMU without FMPy's wrapping."""
+    function = slave.dll[name]
+    function.restype, function.argtypes = ctypes.c_int, (ctypes.c_void_p, *arguments)
+    return function
 
 
 def peak(samples: Array) -> float:

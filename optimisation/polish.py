@@ -73,21 +73,32 @@ class LocalOptimum:
         return f"{found}: projected gradient {self.gradient:.1e} m per range, least curvature {self.curvature:.2g} m"
 
 
-def polish(objective: Callable[[Array], Array], lower: Array, upper: Array, start: Array) -> LocalOptimum:
+def polish(
+    objective: Callable[[Array], Array],
+    lower: Array,
+    upper: Array,
+    start: Array,
+    *,
+    progress: Callable[[int, float], None] | None = None,
+) -> LocalOptimum:
     """Minimise locally between bounds from a start, and examine the point reached.
 
     Args:
         objective: designs, shape (n, variables) -> fitness, shape (n,).
         lower, upper, start: shape (variables,).
+        progress: called with the number of evaluations and the least fitness so far, after each call of the objective.
     """
-    count = 0
+    count, least = 0, np.inf
     span = upper - lower
 
     def fitness(z: Array) -> Array:
-        nonlocal count
-        count += len(z)
+        nonlocal count, least
         values = np.asarray(objective(lower + span * np.clip(z, 0.0, 1.0)), dtype=float)
-        return np.where(np.isfinite(values), values, np.inf)
+        values = np.where(np.isfinite(values), values, np.inf)
+        count, least = count + len(z), min(least, float(values.min()))
+        if progress is not None:
+            progress(count, least)
+        return values
 
     def single(z: Array) -> float:
         return float(fitness(z[None])[0])

@@ -14,6 +14,7 @@ from fmpy import read_model_description
 from optimisation.baselines import classical_designs
 from optimisation.objective import FITNESS, DesignVariable, TowerTopDeviation, design, with_bounds
 from optimisation.polish import LocalOptimum, polish
+from optimisation.stability import start_values
 
 Array = npt.NDArray[np.float64]
 
@@ -131,11 +132,7 @@ def _classical(fmu: Path, fixed: Mapping[str, float], x: str, y: str) -> dict[st
     (place, first), (other, second) = x.split("."), y.split(".")
     if place != other or {first, second} != {"k", "c"}:
         return {}
-    values = {
-        v.name: float(v.start)
-        for v in read_model_description(str(fmu)).modelVariables
-        if v.causality == "parameter" and v.type == "Real" and v.start is not None
-    }
+    values = start_values(read_model_description(str(fmu)))
     designs = classical_designs(values | dict(fixed), place)
     return {n: (k, c) if first == "k" else (c, k) for n, (k, c) in designs.items()}
 

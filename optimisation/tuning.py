@@ -12,8 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from optimisation.checkpoint import fmu_digest, resumed_record, write_checkpoint
+from optimisation.distributed import DistributedDeviation
 from optimisation.objective import DamperName, Design, TowerTopDeviation, design, with_bounds
-from optimisation.polish import LocalOptimum, polish
+from optimisation.polish import polish
 from optimisation.result import OptimisationResult
 from optimisation.search import Found, Generation, Record, search
 from optimisation.strategies import Method, default_population, make_strategy
@@ -91,6 +92,7 @@ def tune(
     fmu: Path,
     *,
     workers: int = 1,
+    dask: str | None = None,
     progress: Callable[[Generation], None] | None = None,
     checkpoint: Path | None = None,
     resume: bool = False,
@@ -101,10 +103,11 @@ def tune(
     Args:
         request: what to tune and how.
         fmu: the simplified model's FMU.
-        workers: threads; the result does not depend on it.
+        workers: threads; dask: address of a Dask scheduler, whose workers evaluate instead; the result depends on
+            neither.
         progress: called after each generation.
         checkpoint: file written after each generation; resume: continue from it.
-        local: polish the best point found and certify it, see `optimisation.polish`.
+        local: polish the best point found and certify it, see `refine`.
 
     Raises:
         ValueError: unknown damper, bad bounds, the FMU lacks a variable, or the checkpoint is of another problem.
@@ -113,26 +116,21 @@ def tune(
     request = request.resolved()
     damper, task = request.damper, request.task()
     names = tuple(v.name for v in task.variables)
-    fixed = dict(request.parameters) | task.switches
-    with TowerTopDeviation(fmu, names, fixed, horizon=request.horizon, workers=workers) as objective:
+    with _objective(request, fmu, workers, dask) as objective:
         found = run_search(request, fmu, objective, progress=progress, checkpoint=checkpoint, resume=resume)
         last = found.generations[-1]
         if not np.isfinite(last.best):
             raise OptimisationError(
                 f"{damper}: all {last.evaluations} evaluations failed; the first: {objective.first_failure}"
             )
-        optimum: LocalOptimum | None = None
-        if local:
-            optimum = polish(objective, *bounds_of(task), np.array(last.parameters))
         failure = objective.first_failure
-    best = last if optimum is None else optimum
-    return OptimisationResult(
+    result = OptimisationResult(
         damper=damper,
         method=request.method,
-        fitness=last.best if optimum is None else optimum.fitness,
-        parameters=dict(zip(names, best.parameters, strict=True)),
+        fitness=last.best,
+        parameters=dict(zip(names, last.parameters, strict=True)),
         history=found.generations,
-        evaluations=last.evaluations + (optimum.evaluations if optimum else 0),
+        evaluations=last.evaluations,
         generations=last.number,
         seconds=found.seconds,
         seed=request.seed,
@@ -140,14 +138,47 @@ def tune(
         bounds={v.name: (v.lower, v.upper) for v in task.variables},
         failures=last.failures,
         first_failure=failure,
+    )
+    return refine(result, request, fmu, workers=workers) if local else result
+
+
+def refine(
+    result: OptimisationResult,
+    request: Request,
+    fmu: Path,
+    *,
+    workers: int = 1,
+    progress: Callable[[int, float], None] | None = None,
+) -> OptimisationResult:
+    """The result of `tune` with its design polished and certified, see `optimisation.polish`; arguments as there.
+
+    It evaluates here in any case: a polish asks for a few designs at a time, too few for the way to a cluster.
+    """
+    task = request.task()
+    with _objective(request, fmu, workers, None) as objective:
+        start = np.array([result.parameters[v.name] for v in task.variables])
+        optimum = polish(objective, *bounds_of(task), start, progress=progress)
+    return replace(
+        result,
+        fitness=optimum.fitness,
+        parameters=dict(zip(result.parameters, optimum.parameters, strict=True)),
+        evaluations=result.evaluations + optimum.evaluations,
         local_optimum=optimum,
     )
+
+
+def _objective(request: Request, fmu: Path, workers: int, dask: str | None) -> TowerTopDeviation | DistributedDeviation:
+    task = request.task()
+    names, fixed = [v.name for v in task.variables], dict(request.parameters) | task.switches
+    if dask is not None:
+        return DistributedDeviation(fmu, names, fixed, horizon=request.horizon, address=dask)
+    return TowerTopDeviation(fmu, names, fixed, horizon=request.horizon, workers=workers)
 
 
 def run_search(
     request: Request,
     fmu: Path,
-    objective: TowerTopDeviation,
+    objective: TowerTopDeviation | DistributedDeviation,
     *,
     progress: Callable[[Generation], None] | None,
     checkpoint: Path | None,

@@ -15,9 +15,11 @@ from cosim.cli import (
     inspect,
     linearise,
     listing,
+    methods,
     optimise,
     package,
     report,
+    reproduce,
     run,
     sensitivity,
     verify,
@@ -44,6 +46,8 @@ app.command("optimise")(optimise.optimise)
 app.command("linearise")(linearise.linearise)
 app.command("map")(sensitivity.fitness_map)
 app.command("report")(report.report)
+app.command("methods")(methods.methods)
+app.command("reproduce")(reproduce.reproduce)
 app.command("verify")(verify.verify)
 app.command("inspect")(inspect.inspect)
 app.command("validate")(inspect.validate)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from contextlib import nullcontext
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -52,20 +54,67 @@ def identify(
     A file needs Time, PtfmPitch (deg) and TTDspFA (m), and begins at the release, at rest.
     Example: [bold]fowt identify --reference my.outb --anchor my_damped.outb[/bold]
     """
-    from optimisation.identification import UNKNOWNS, assess_fit
-    from optimisation.identification import identify as fit
-    from optimisation.identified import content, plot, write_json, write_ssv
+    from optimisation.identification import UNKNOWNS
 
     quiet = output is Format.JSON
     values = {name: _number(name, text) for name, text in (_pair(i, "--set", "PARAM=VALUE") for i in set_ or [])}
     taken = next((n for n in values if n in {u.name for u in UNKNOWNS}), None)
     if taken:
         raise CosimError(f"--set {taken}: it is identified; leave it out")
-    simplified = Simplified.make(values)
     sources = [(reference, damper)] + ([(anchor, anchor_damper)] if anchor != "none" else [])
-    target = new_folder(folder or free_path(Path("runs") / "identify"))
-    fitted = [simplified.decay(_record(s, d, target, quiet), d) for s, d in sources]
-    further = [] if VERIFIED in sources else [simplified.decay(_record(*VERIFIED, target, quiet), VERIFIED[1])]
+    target = folder or free_path(Path("runs") / "identify")
+    with all_or_nothing(target) as place:
+        found = identified(sources, place, values, quiet=quiet)
+        written = found.write(place, target)
+    if not found.result.identifiable:
+        warn(f"{found.result.weakness}; give a record with a damper (--anchor)")
+    if quiet:
+        emit(found.content(target))
+        return
+    _show(found.result, found.fits, found.paper)
+    out.print(f"{target}: {', '.join(written)}", soft_wrap=True)
+
+
+@dataclass(frozen=True, eq=False)
+class Identified:
+    """An identification, and how its set and the paper's (table 3) reproduce each record."""
+
+    result: Identification
+    fits: list[Fit]
+    paper: list[Fit]
+
+    def content(self, target: Path) -> dict[str, Any]:
+        """All figures, see `optimisation.identified.content`, with the results folder."""
+        from optimisation.identified import content
+
+        return content(self.result, self.fits, self.paper) | {"folder": str(target)}
+
+    def write(self, place: Path, target: Path) -> list[str]:
+        """Write result.json, identified.ssv and identify.png into a place that will be the target; their names."""
+        from optimisation.identified import plot, write_json, write_ssv
+
+        written = (
+            write_json(self.content(target), place / "result.json"),
+            write_ssv("identified", self.result.values, place / "identified.ssv"),
+            plot(self.fits, place / "identify.png"),
+        )
+        return [path.name for path in written]
+
+
+def identified(
+    sources: list[tuple[str, str]], place: Path, values: Mapping[str, float] | None = None, *, quiet: bool = False
+) -> Identified:
+    """Identify from records, each a load case or a file and its dampers; runs of load cases go to folders in `place`.
+
+    Args:
+        values: other parameters of the simplified model.
+    """
+    from optimisation.identification import UNKNOWNS, assess_fit
+    from optimisation.identification import identify as fit
+
+    simplified = Simplified.make(values)
+    fitted = [simplified.decay(_record(s, d, place, quiet), d) for s, d in sources]
+    further = [] if VERIFIED in sources else [simplified.decay(_record(*VERIFIED, place, quiet), VERIFIED[1])]
     model = simplified.model()
     with nullcontext() if quiet else err.status("identifying") as status:
 
@@ -74,21 +123,32 @@ def identify(
                 status.update(f"identifying: simulation {count}, mean squared error {error:.4g}")
 
         result = fit(model, fitted, progress=tell)
-        paper = {u.name: u.paper for u in UNKNOWNS}
-        both = [
-            [assess_fit(model, d, v, fitted=d in fitted) for d in (*fitted, *further)] for v in (result.values, paper)
-        ]
-    found = content(result, *both) | {"folder": str(target)}
-    written = [write_json(found, target / "result.json"),
-               write_ssv("identified", result.values, target / "identified.ssv"),
-               plot(both[0], target / "identify.png")]  # fmt: skip
-    if not result.identifiable:
-        warn(f"{result.weakness}; give a record with a damper (--anchor)")
-    if quiet:
-        emit(found)
-        return
-    _show(result, *both)
-    out.print(f"{target}: {', '.join(p.name for p in written)}", soft_wrap=True)
+        own, paper = (
+            [assess_fit(model, d, v, fitted=d in fitted) for d in (*fitted, *further)]
+            for v in (result.values, {u.name: u.paper for u in UNKNOWNS})
+        )
+    return Identified(result, own, paper)
+
+
+@contextmanager
+def all_or_nothing(folder: Path) -> Iterator[Path]:
+    """A place to write results in, moved to a new folder at the end; after a failure nothing is left of either.
+
+    Raises:
+        CosimError: the folder has content, or cannot be written to.
+    """
+    made = [p for p in (folder, *folder.parents) if not p.exists()]
+    new_folder(folder)
+    try:
+        with tempfile.TemporaryDirectory(prefix="fowt-") as scratch:
+            yield Path(scratch)
+            for item in sorted(Path(scratch).iterdir()):
+                shutil.move(item, folder / item.name)
+    except BaseException:
+        for path in made:
+            with suppress(OSError):  # another has put something there meanwhile
+                path.rmdir()
+        raise
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 import typer
 
 from cosim.cli.build import build_fmus
-from cosim.cli.console import Format, FormatOption, count_progress, emit, out, warn
+from cosim.cli.console import Format, FormatOption, count_progress, emit, err, out, warn
 from cosim.cli.run import _pair, _value, free_path
 from cosim.errors import CosimError, nearest
 from cosim.recording import new_folder
@@ -47,6 +47,9 @@ BoundsOption = Annotated[
 ]
 FmuOption = Annotated[Path | None, typer.Option(help="Another FMU with the simplified model's variables.")]
 FolderOption = Annotated[Path | None, typer.Option("--out", help="New folder for the results.")]
+DaskOption = Annotated[
+    str | None, typer.Option(metavar="ADDRESS", help="Evaluate on a Dask cluster: its scheduler, tcp://HOST:8786.")
+]
 WorkersOption = Annotated[int, typer.Option(min=1, help="Threads; the result does not depend on it.")]
 
 
@@ -69,6 +72,7 @@ def optimise(
     folder: FolderOption = None,
     resume: Annotated[Path | None, typer.Option(help="Continue the search in this folder, with its settings.")] = None,
     workers: WorkersOption = CPUS,
+    dask: DaskOption = None,
     output: FormatOption = Format.TEXT,
 ) -> None:
     """Tune damper stiffness and damping; write result.json, tuned.ssv and convergence.png (or pareto.csv and .png).
@@ -91,6 +95,8 @@ def optimise(
     if resume and folder:
         raise CosimError("--resume goes on in its own folder: leave out --out")
     request = _request(given, resume)
+    if dask and request.method == "nsga2":
+        raise CosimError("--dask evaluates the decay's deviation only: leave out --pareto")
     if polish and request.method == "nsga2":
         raise CosimError("--polish refines one optimum, not a front: leave it out")
     request.task()  # refuses bad bounds before anything is built
@@ -105,11 +111,16 @@ def optimise(
                 front = search_front(request, file, progress=progress, **options)
             _report_front(front, target, quiet)
         else:
-            from optimisation.tuning import tune
+            from optimisation.tuning import refine, tune
 
             with _progress(request, quiet) as progress:
-                result = tune(request, file, progress=progress, local=polish, **options)
-            _report(result, target, quiet)
+                result = tune(request, file, progress=progress, dask=dask, **options)
+            written = _write(result, target)
+            if polish:
+                with polishing(target, quiet) as follow:
+                    result = refine(result, request, file, workers=workers, progress=follow)
+                written = _write(result, target)
+            _report(result, written, target, quiet)
 
 
 def known_damper(name: str) -> str:
@@ -192,6 +203,9 @@ def _resumable(folder: Path) -> Iterator[None]:
         else:
             warn("interrupted before the first generation was complete")
         raise typer.Exit(130) from None
+    finally:
+        if not any(folder.iterdir()):  # a failed search has nothing to leave
+            folder.rmdir()
 
 
 @contextmanager
@@ -210,11 +224,30 @@ def _progress(request: Request, quiet: bool) -> Iterator[Callable[[Generation], 
         yield show
 
 
-def _report(result: OptimisationResult, target: Path, quiet: bool) -> None:
+@contextmanager
+def polishing(folder: Path, quiet: bool) -> Iterator[Callable[[int, float], None]]:
+    """Show how a polish gets on; if the user interrupts, say that the search's result is kept."""
+    with nullcontext() if quiet else err.status("polishing") as status:
+
+        def show(count: int, best: float) -> None:
+            if status is not None:
+                status.update(f"polishing: {count} evaluations, best {best:.7f} m")
+
+        try:
+            yield show
+        except KeyboardInterrupt:
+            warn(f"polish interrupted; {folder} has the result of the search, not polished")
+            raise typer.Exit(130) from None
+
+
+def _write(result: OptimisationResult, target: Path) -> list[Path]:
     from optimisation.result import plot_convergence, write_json, write_ssv
 
-    written = [write_ssv(result, target / "tuned.ssv"), plot_convergence(result, target / "convergence.png"),
-               write_json(result, target / "result.json")]  # fmt: skip
+    return [write_ssv(result, target / "tuned.ssv"), plot_convergence(result, target / "convergence.png"),
+            write_json(result, target / "result.json")]  # fmt: skip
+
+
+def _report(result: OptimisationResult, written: list[Path], target: Path, quiet: bool) -> None:
     if result.failures:
         warn(f"{result.failures} evaluations failed and were penalised; the first: {result.first_failure}")
     if quiet:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -71,10 +71,12 @@ def plot_comparison(
     return _save(figure, path)
 
 
-def _panels(rows: int, columns: int, *, width: float, height: float) -> tuple[Figure, Any]:
+def _panels(
+    rows: int, columns: int, *, width: float, height: float, sharex: Literal["col", "none"] = "col"
+) -> tuple[Figure, Any]:
     figure = Figure(figsize=(width, height * rows + 0.8), layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.subplots(rows, columns, squeeze=False, sharex="col")
+    axes = figure.subplots(rows, columns, squeeze=False, sharex=sharex)
     for axis in axes.ravel():
         axis.grid(alpha=0.3)
     return figure, axes

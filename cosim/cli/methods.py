@@ -1,0 +1,123 @@
+"""`fowt methods`: what search methods find, from several seeds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, cast, get_args
+
+import typer
+from rich.table import Table
+
+from cosim.cli.console import Format, FormatOption, count_progress, emit, out
+from cosim.cli.optimise import (
+    CPUS,
+    FmuOption,
+    FolderOption,
+    ParameterOption,
+    SearchMethod,
+    SetFileOption,
+    WorkersOption,
+    known_damper,
+    parameters,
+    simplified,
+)
+from cosim.cli.run import free_path
+from cosim.errors import CosimError, nearest
+from cosim.recording import new_folder
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from optimisation.objective import DamperName
+    from optimisation.search import Generation
+
+
+def methods(
+    dampers: Annotated[list[str] | None, typer.Argument(help="tmd-n, tmd-p, mtmd; all three by default.")] = None,
+    methods: Annotated[str, typer.Option(help="Search methods, by comma.")] = ",".join(SearchMethod),
+    seeds: Annotated[str, typer.Option(metavar="FIRST:LAST", help="Seeds of each search.")] = "1:10",
+    evaluations: Annotated[int | None, typer.Option(min=2, help="Of each search; 5000.")] = None,
+    polish: Annotated[bool, typer.Option(help="Polish each result too.")] = True,
+    set_: ParameterOption = None,
+    ssv: SetFileOption = None,
+    fmu: FmuOption = None,
+    folder: FolderOption = None,
+    workers: WorkersOption = CPUS,
+    output: FormatOption = Format.TEXT,
+) -> None:
+    """Compare search methods over seeds: best, median and worst fitness, and speed; write summary.csv and trials.csv.
+
+    Example: [bold]fowt methods mtmd --seeds 1:10[/bold]
+    """
+    from optimisation.statistics import summary, table, trials
+    from optimisation.tuning import Request
+
+    quiet = output is Format.JSON
+    chosen = [m.strip() for m in methods.split(",") if m.strip()]
+    for name in chosen:
+        if name not in list(SearchMethod):
+            raise CosimError(f"--methods {name}: no such search method{nearest(name, list(SearchMethod))}")
+    if not chosen:
+        raise CosimError("--methods names no search method")
+    first, last = seed_range(seeds)
+    values = parameters(set_, ssv)
+    arrangements = dict.fromkeys(cast("DamperName", known_damper(d)) for d in dampers or all_dampers())
+    requests = [
+        Request(d, method=SearchMethod(m).value, seed=s, evaluations=evaluations, parameters=values).resolved()
+        for d in arrangements for m in dict.fromkeys(chosen) for s in range(first, last + 1)
+    ]  # fmt: skip
+    file = simplified(fmu, quiet)
+    target = new_folder(folder or free_path(Path("runs") / "methods"))
+    found = []
+    with count_progress(quiet) as bar:
+        task = bar.add_task("searching", total=sum(r.evaluations or 0 for r in requests), note="")
+        for i, request in enumerate(requests):
+            before = sum(r.evaluations or 0 for r in requests[:i])
+            note = f"{request.damper} by {request.method}, seed {request.seed}"
+
+            def show(g: Generation, before: int = before, note: str = note) -> None:
+                bar.update(task, completed=before + g.evaluations, note=note)
+
+            found += trials(request, file, workers=workers, polished=polish, progress=show)
+            # after each search, so that an interruption loses one at most
+            table(found).to_csv(target / "trials.csv", index=False)
+            summary(found).to_csv(target / "summary.csv", index=False)
+    result = summary(found)
+    if quiet:
+        emit({"summary": result.to_dict("records"), "folder": str(target)})
+        return
+    _show(result)
+    out.print(f"{target}: summary.csv, trials.csv", soft_wrap=True)
+
+
+def all_dampers() -> tuple[DamperName, ...]:
+    """The arrangements that can be tuned."""
+    from optimisation.objective import DamperName
+
+    return get_args(DamperName)
+
+
+def seed_range(text: str) -> tuple[int, int]:
+    """First and last seed from "1:10" or "3".
+
+    Raises:
+        CosimError: it is neither.
+    """
+    first, _, last = text.partition(":")
+    if not (first.isdigit() and (last or first).isdigit() and int(first) <= int(last or first)):
+        raise CosimError(f"--seeds {text}: write it as FIRST:LAST, such as 1:10")
+    return int(first), int(last or first)
+
+
+def _show(result: pd.DataFrame) -> None:
+    view = Table("damper", box=None, pad_edge=False, title="fitness in m", title_justify="left")
+    view.add_column("method", no_wrap=True)
+    for column in ("best", "median", "worst", "within 1 mm", "runs", "time (s)", "runs/s"):
+        view.add_column(column, justify="right", no_wrap=True)
+    for _, r in result.iterrows():
+        view.add_row(
+            r["damper"], r["method"] + (" + polish" if r["polished"] else ""),
+            *(f"{r[c]:.4f}" for c in ("best", "median", "worst")), f"{r['close']} of {r['seeds']}",
+            f"{r['evaluations']:.0f}", f"{r['seconds']:.1f}", f"{r['evaluations_per_second']:.0f}",
+        )  # fmt: skip
+    out.print(view)
