@@ -100,6 +100,7 @@ class Component:
         self.lookups: list[Lookup] = []
         self.lookup_arguments: list[Any] = []
         self.lookup_symbols: list[Any] = []
+        self.places: dict[str, str] = {}
         causalities: tuple[Causality, ...] = (
             "parameter", "calculated", "input", "output", "state", "sampled_state",
         )  # fmt: skip
@@ -230,6 +231,13 @@ class Component:
     def update(self, state: Any, expression: Any) -> None:
         """Give the value that a sampled state takes at the next sample instant."""
         self._set_rate("sampled_state", state, expression)
+
+    def port(self, name: str, place: str) -> None:
+        """State where the force `name.force` acts whose motion is not `name.velocity` but `place.velocity`.
+
+        The FMU's terminals (FMI 3.0) join both.
+        """
+        self.places[name] = place
 
     # --- lookups ------------------------------------------------------------------------------------------------
 

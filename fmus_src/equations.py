@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import csc_array, csr_array
 
 from fmus_src.component import Component
 from fmus_src.lookups import Lookup, SwitchLookup
@@ -60,18 +62,26 @@ class Equations:
 
     def output_dependencies(self) -> npt.NDArray[np.bool_]:
         """Direct feed-through: outputs (rows) by inputs (columns), through lookups too."""
-        of_inputs = [np.zeros((0, self.sizes["u"]), dtype=bool)]
+        return self.dependencies([self.outputs], ["u"])[0]
+
+    def dependencies(self, functions: Sequence[ca.Function], names: Sequence[str]) -> list[npt.NDArray[np.bool_]]:
+        """Of each function, its results (rows) by elements of the named arguments (columns), through lookups too."""
+
+        def direct(function: ca.Function) -> npt.NDArray[np.bool_]:
+            return np.hstack([self.sparsity(function, name) for name in names])
+
+        known: list[Any] = [np.zeros((0, sum(self.outputs.numel_in(STATE_INPUTS.index(n)) for n in names)), dtype=bool)]
         for lookup, function in zip(self.lookups, self.lookup_arguments, strict=True):
-            of_arguments = self.sparsity(function, "u") | self._through(function, of_inputs)
-            of_inputs.append((lookup.dependencies().astype(int) @ of_arguments.astype(int)) > 0)
-        return self.sparsity(self.outputs, "u") | self._through(self.outputs, of_inputs)
+            of_arguments = direct(function) | self._through(function, known)
+            known.append(_product(lookup.dependencies(), of_arguments))
+        return [direct(f) | self._through(f, known) for f in functions]
 
     def discrete_outputs(self) -> npt.NDArray[np.bool_]:
         """Outputs that change at sample instants only: they depend on neither time, states nor inputs, (y,)."""
         changes = np.zeros((0, 1), dtype=bool)
         for lookup, function in zip(self.lookups, self.lookup_arguments, strict=True):
             of_arguments = self._varies(function) | self._through(function, [changes])
-            changes = np.vstack([changes, (lookup.dependencies().astype(int) @ of_arguments.astype(int)) > 0])
+            changes = np.vstack([changes, _product(lookup.dependencies(), of_arguments)])
         return ~(self._varies(self.outputs) | self._through(self.outputs, [changes])).ravel()
 
     def lookup_uses(self) -> list[tuple[str, ...]]:
@@ -87,8 +97,10 @@ class Equations:
 
     def _through(self, function: ca.Function, of_inputs: list[Any]) -> Any:
         known = np.vstack(of_inputs)
-        direct = self.sparsity(function, "w")[:, : known.shape[0]]
-        return (direct.astype(int) @ known.astype(int)) > 0
+        pattern = function.jac_sparsity(0, STATE_INPUTS.index("w"))
+        ones = np.ones(pattern.nnz(), dtype=np.float32)
+        direct = csc_array((ones, pattern.row(), pattern.colind()), shape=pattern.shape)[:, : known.shape[0]]
+        return np.asarray(direct @ known.astype(np.float32) > 0.0)
 
     @staticmethod
     def _wants(function: ca.Function) -> npt.NDArray[np.bool_]:
@@ -105,6 +117,11 @@ class Equations:
         """Whether each result of a function of (t, x, z, u, p, k, w) depends on each element of an argument."""
         pattern = function.jac_sparsity(0, STATE_INPUTS.index(name))
         return np.asarray(ca.DM(pattern, 1.0).full() != 0.0)
+
+
+def _product(a: npt.NDArray[np.bool_], b: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """Which row of a, which is sparse, meets which column of b."""
+    return np.asarray(csr_array(a.astype(np.float32)) @ b.astype(np.float32) > 0.0)
 
 
 def derive(component: Component) -> Equations:

@@ -19,7 +19,8 @@ from platformdirs import user_cache_path
 
 from fmus_src.component import Component
 from fmus_src.compose import Connection, compose
-from fmus_src.export.build import build_all, build_fmu
+from fmus_src.export.build import build_all, build_fmu, fmu_name
+from fmus_src.export.platforms import Platform
 from fmus_src.hydro.database import PACKAGED
 
 ROOT = Path(__file__).parent
@@ -51,9 +52,16 @@ def make(name: str, options: Mapping[str, Any] | None = None) -> Component:
 
 
 def build_library(
-    names: Sequence[str] | None = None, progress: Callable[[str, Path], None] | None = None
+    names: Sequence[str] | None = None,
+    progress: Callable[[str, Path], None] | None = None,
+    *,
+    fmi: str = "2",
+    platforms: Sequence[Platform] = (),
 ) -> tuple[Path, dict[str, Path]]:
     """Build the named components (default: all) into the user's cache; what is there for these sources is kept.
+
+    Args:
+        fmi, platforms: see `build_fmu`.
 
     Returns:
         the folder, and the FMU of each name.
@@ -61,26 +69,28 @@ def build_library(
     Raises:
         ValueError: no such component.
     """
-    folder = _cache()
+    folder = _folder(platforms)
     wanted = component_names() if names is None else list(names)
     for name in wanted:
         _check_name(name)
-    missing = {name: _factory(name) for name in wanted if not (folder / f"{name}.fmu").exists()}
+    paths = {name: folder / fmu_name(name, fmi) for name in wanted}
+    missing = {name: _factory(name) for name in wanted if not paths[name].exists()}
     for name in wanted:
         if name not in missing and progress:
-            progress(name, folder / f"{name}.fmu")
+            progress(name, paths[name])
     if missing:
-        build_all(missing, folder, progress)
-    return folder, {name: folder / f"{name}.fmu" for name in wanted}
+        build_all(missing, folder, progress, fmi=fmi, platforms=platforms)
+    return folder, paths
 
 
-def build_variant(name: str, options: Mapping[str, Any]) -> Path:
+def build_variant(name: str, options: Mapping[str, Any], *, fmi: str = "2", platforms: Sequence[Platform] = ()) -> Path:
     """Build one component with options into the user's cache; what is there for these sources and files is kept.
 
     Args:
         name: folder of the component.
         options: see `make`. A path may be that of a file or of a set of files ("DIR/Barge" for Barge.1, Barge.3, ...):
             their content is part of the cache's key.
+        fmi, platforms: see `build_fmu`.
 
     Returns:
         the FMU `name.fmu` in a folder of its own.
@@ -89,12 +99,12 @@ def build_variant(name: str, options: Mapping[str, Any]) -> Path:
         ValueError: as `make`.
     """
     if not options:
-        return build_library([name])[1][name]
+        return build_library([name], fmi=fmi, platforms=platforms)[1][name]
     arguments = _arguments(name, _defining(name), options)
     key = hashlib.sha256("\n".join([name, *_labels(arguments, 64)]).encode()).hexdigest()
-    folder = _cache() / f"{name}-{key[:16]}"
-    path = folder / f"{name}.fmu"
-    return path if path.exists() else build_fmu(make(name, options), folder)
+    folder = _folder(platforms) / f"{name}-{key[:16]}"
+    path = folder / fmu_name(name, fmi)
+    return path if path.exists() else build_fmu(make(name, options), folder, fmi=fmi, platforms=platforms)
 
 
 def build_system(
@@ -147,6 +157,10 @@ def sources_digest() -> str:
 
 def _cache() -> Path:
     return user_cache_path("fowt-cosim") / "library" / sources_digest()[:16]
+
+
+def _folder(platforms: Sequence[Platform]) -> Path:
+    return _cache() / "+".join(p.name for p in platforms)
 
 
 def _factory(name: str) -> Callable[[], Component]:

@@ -25,8 +25,8 @@ from platformdirs import user_cache_path
 
 from fmus_src.crossing import MAX_CROSSINGS, Flags, crossed, locate
 from fmus_src.equations import Equations
-from fmus_src.export.build import native_target
 from fmus_src.export.compiler import compile_shared
+from fmus_src.export.platforms import native_platform
 from fmus_src.lookups import SwitchLookup
 
 Array = npt.NDArray[np.float64]
@@ -161,7 +161,7 @@ def _compiled(name: str, functions: Sequence[Any]) -> list[Any]:
         generator.add(function)
     code = f"#define GCC_HASCLASSVISIBILITY  /* export the functions */\n{generator.dump()}"
     key = hashlib.sha256(code.encode()).hexdigest()[:16]
-    library = user_cache_path("fowt-cosim") / "sensitivity" / f"{name}-{key}{native_target().suffix}"
+    library = user_cache_path("fowt-cosim") / "sensitivity" / f"{name}-{key}{native_platform().suffix}"
     if not library.exists():
         with tempfile.TemporaryDirectory() as scratch:
             source = Path(scratch) / f"{name}.c"

@@ -37,6 +37,42 @@ static int initialise(fmi2Component c)
     return 0;
 }
 
+static int exchange(const fmi2CallbackFunctions *callbacks)
+{
+    fmi2Component c = fmi2Instantiate("three", fmi2ModelExchange, model.guid, "", callbacks, 0, 0);
+    const size_t n = (size_t)model.n_x, n_s = (size_t)model.n_switches;
+    double *x = malloc((2 * n + n_s + 1) * sizeof *x), *dx = x + n, *signs = dx + n, seed = 1.0, derivative;
+    fmi2ValueReference state = (fmi2ValueReference)(model.n_variables - 1 - (int)(2 * n + n_s) - model.n_z);
+    fmi2ValueReference rate = (fmi2ValueReference)(model.n_variables - (int)(n + n_s));
+    fmi2EventInfo info;
+    fmi2Boolean event, end;
+    fmi2FMUstate saved = NULL;
+    if (!c || initialise(c)) return 1;
+    REQUIRE(fmi2NewDiscreteStates(c, &info));
+    REQUIRE(fmi2EnterContinuousTimeMode(c));
+    for (int i = 1; i <= 50; i++) {
+        REQUIRE(fmi2GetContinuousStates(c, x, n));
+        REQUIRE(fmi2GetDerivatives(c, dx, n));
+        for (size_t k = 0; k < n; k++) x[k] += 0.02 * dx[k];
+        REQUIRE(fmi2SetTime(c, 0.02 * i));
+        REQUIRE(fmi2SetContinuousStates(c, x, n));
+        REQUIRE(fmi2GetEventIndicators(c, signs, n_s));
+        REQUIRE(fmi2CompletedIntegratorStep(c, 1, &event, &end));
+        if (i == 25) REQUIRE(fmi2GetFMUstate(c, &saved));
+        if (!event && !(info.nextEventTimeDefined && 0.02 * i > info.nextEventTime - 1e-9)) continue;
+        REQUIRE(fmi2EnterEventMode(c));
+        REQUIRE(fmi2NewDiscreteStates(c, &info));
+        REQUIRE(fmi2EnterContinuousTimeMode(c));
+    }
+    REQUIRE(fmi2SetFMUstate(c, saved));
+    REQUIRE(fmi2GetDirectionalDerivative(c, &rate, 1, &state, 1, &seed, &derivative));
+    REQUIRE(fmi2FreeFMUstate(c, &saved));
+    REFUSE(fmi2DoStep(c, 0.5, 0.1, 1));
+    fmi2FreeInstance(c);
+    free(x);
+    return 0;
+}
+
 int main(void)
 {
     fmi2CallbackFunctions callbacks = {logger, calloc, free, NULL, NULL};
@@ -71,6 +107,7 @@ int main(void)
     REQUIRE(fmi2Terminate(one));
     fmi2FreeInstance(one);
     fmi2FreeInstance(two);
+    if (exchange(&callbacks)) return 1;
     free(bytes), free(read), free(values);
     printf("cycle complete\n");
     return 0;

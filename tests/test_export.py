@@ -21,6 +21,7 @@ from fmpy.fmi1 import FMICallException
 from fmus_src.component import Component
 from fmus_src.equations import derive
 from fmus_src.export import build
+from fmus_src.export.exported import Exports
 from fmus_src.export.sources import COMPILED, fmi_headers, source_files
 from fmus_src.instance import Instance
 from fmus_src.lookups import ImplicitLookup, LookupMemory
@@ -65,13 +66,17 @@ def test_fmu_agrees_with_its_python_definition(feature_fmu: Loaded) -> None:
 def test_validates_and_states_true_dependencies(feature_fmu: Loaded, fmu_folder: Path) -> None:
     assert fmpy.validation.validate_fmu(str(fmu_folder / "every_feature.fmu")) == []
     description = feature_fmu.description
-    depends = {u.variable.name: [d.name for d in u.dependencies] for u in description.outputs}
+    unknowns = (*description.outputs, *description.derivatives)
+    every = {u.variable.name: [d.name for d in u.dependencies] for u in unknowns}
+    depends = {name: [d for d in knowns if d.startswith("u[")] for name, knowns in every.items()}
+    assert every["rotated[1]"] == ["x[1]", "x[2]"]
     assert depends["rotated[1]"] == []
+    assert every["held[1]"] == []
+    assert every["der(x[1])"] == ["u[1]", "u[2]", "x[1]"]
     assert depends["feedthrough[1]"] == ["u[1]", "u[2]"]
     assert depends["root[1]"] == ["u[1]"]
     assert depends["root[2]"] == ["u[2]"]
     assert depends["product[2]"] == ["u[2]"]
-    assert depends["held[1]"] == []
     listed = [v.name for v in description.modelVariables]
     assert "z" in listed
     assert "before[1]" not in listed
@@ -352,21 +357,22 @@ def test_declarations_that_the_runtime_cannot_hold_are_refused() -> None:
 def test_display_unit_with_an_offset() -> None:
     c = Component("warm", "A temperature")
     c.parameter("temperature", 293.15, unit="K", display_unit="degC", description="temperature")
-    xml = build._content(c)["modelDescription.xml"]
+    xml = build._content(c)["modelDescription.xml"].decode()
     assert '<DisplayUnit name="degC" factor="1.0" offset="-273.15"' in xml
 
 
-DRIVER = Path(__file__).parent / "runtime_cycle.c"
+DRIVERS = {"2": Path(__file__).parent / "runtime_cycle.c", "3": Path(__file__).parent / "runtime_cycle3.c"}
 
 
+@pytest.mark.parametrize("fmi", ["2", "3"])
 @pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc with sanitizers")
-def test_memory_is_clean_over_a_full_cycle(tmp_path: Path) -> None:
+def test_memory_is_clean_over_a_full_cycle(fmi: str, tmp_path: Path) -> None:
     """AddressSanitizer and UBSan over instantiate, run, save, restore, reset, free; leaks included."""
-    for name, text in source_files(derive(every_feature()), "{test}").items():
+    for name, text in source_files(Exports(derive(every_feature())), "{test}", fmi).items():
         (tmp_path / name).write_text(text)
     program = tmp_path / "cycle"
     flags = ["-std=c99", "-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-w"]
-    sources = [str(DRIVER), *COMPILED]
+    sources = [str(DRIVERS[fmi]), *COMPILED[fmi]]
     made = subprocess.run(
         ["gcc", *flags, "-I.", *sources, "-lm", "-o", str(program)], cwd=tmp_path, capture_output=True, text=True
     )
@@ -382,10 +388,10 @@ def test_sources_are_complete_for_any_compiler(built: Callable[[Component], Path
     """The archive's sources alone (FMI headers included) compile; binaries are not needed."""
     with zipfile.ZipFile(built(tmd())) as archive:
         archive.extractall(tmp_path)
-    assert {p.name for p in (tmp_path / "sources").iterdir()} >= {*COMPILED, "fmi2Functions.h", "equations.c"}
+    assert {p.name for p in (tmp_path / "sources").iterdir()} >= {*COMPILED["2"], "fmi2Functions.h", "equations.c"}
     from fmus_src.export.compiler import compile_shared
 
-    made = compile_shared([Path(s) for s in COMPILED], tmp_path / "again.so", working_dir=tmp_path / "sources")
+    made = compile_shared([Path(s) for s in COMPILED["2"]], tmp_path / "again.so", working_dir=tmp_path / "sources")
     assert made.stat().st_size > 10_000
     assert (fmi_headers() / "fmi2Functions.h").exists()
 

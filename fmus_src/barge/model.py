@@ -44,6 +44,8 @@ def component(turbine: Turbine | None = None) -> Component:
         c.derivative(coordinate, rate)
         c.derivative(rate, acceleration)
     declare_outputs(c, figures, p, loads, state, motion)
+    for port, place in (("hydro", "platform"), ("mooring", "platform"), ("aero", "hub")):
+        c.port(port, place)
     return c
 
 

@@ -23,8 +23,14 @@ _TITLES = {
 }
 
 
-def documentation(equations: Equations) -> str:
-    """`documentation/index.html`."""
+_INPUTS = {
+    "2": "In co-simulation inputs may be given with first and second time derivatives.",
+    "3": "In co-simulation inputs hold their values over a step.",
+}
+
+
+def documentation(equations: Equations, fmi: str = "2") -> str:
+    """`documentation/index.html` of an FMU of FMI 2.0 or 3.0."""
     component = equations.component
     sampled = f", sampled every {component.sample_time:g} s" if component.sample_time else ""
     parts = [
@@ -32,10 +38,10 @@ def documentation(equations: Equations) -> str:
         f'<html lang="en"><head><meta charset="utf-8"><title>{escape(component.name)}</title>',
         f"<style>{_STYLE}</style></head><body>",
         f"<h1>{escape(component.name)}</h1><p>{escape(component.description)}.</p>",
-        "<p>FMI 2.0 co-simulation, written as equations in Python and exported as C: it needs neither Python nor any "
-        "other tool. Runge-Kutta integration of order 4 with sub-steps of at most "
-        f"{component.internal_step:g} s{sampled}. "
-        "Inputs may be given with first and second time derivatives. Array elements count from 1. SI units.</p>",
+        f"<p>FMI {fmi}.0 co-simulation and model exchange, written as equations in Python and exported as C: it needs "
+        "neither Python nor any other tool. Co-simulation: Runge-Kutta integration of order 4 with sub-steps of at "
+        f"most {component.internal_step:g} s{sampled}. Model exchange: the importer integrates; switches are event "
+        f"indicators, samples time events. {_INPUTS[fmi]} Array elements count from 1. SI units.</p>",
     ]
     for causality, title in _TITLES.items():
         rows = [

@@ -11,34 +11,41 @@ import casadi as ca
 import numpy as np
 
 from fmus_src.equations import Equations
+from fmus_src.export.exported import Exported, Exports
 from fmus_src.lookups import FieldLookup, ImplicitLookup, StoredLookup, SwitchLookup, TableLookup
-from fmus_src.variable import Variable
 
 RUNTIME = Path(__file__).parent / "runtime"
 RUNTIME_SOURCES = (
-    "fmi2.c", "instance.c", "variables.c", "fmu_state.c", "directional.c",
+    "instance.c", "course.c", "variables.c", "fmu_state.c", "directional.c",
     "lookup_table.c", "lookup_field.c", "lookup_implicit.c",
 )  # fmt: skip
 # Part of model.c, so that the compiler knows the sizes and can merge the integrator with the equations.
 RUNTIME_INCLUDED = ("runtime.h", "instance.h", "evaluation.c", "integration.c")
-COMPILED = ("model.c", *RUNTIME_SOURCES)
-FMI_HEADERS = ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h")
+INTERFACES = {"2": ("fmi2.c",), "3": ("fmi3.c", "fmi3_unused.c")}
+COMPILED = {fmi: ("model.c", *files, *RUNTIME_SOURCES) for fmi, files in INTERFACES.items()}
+FMI_HEADERS = {
+    "2": ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
+    "3": ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
+}
 MAX_FUNCTION_ARGUMENTS = 256  # MAX_ARGUMENTS of the runtime
 MAX_IMPLICIT = 8
 _PURPOSES = {"derivatives": "FOR_RATES", "outputs": "FOR_OUTPUTS", "update": "FOR_UPDATE", "switches": "FOR_SIGNS"}
 _NONE = "{0, 0}"
 
 
-def source_files(equations: Equations, guid: str) -> dict[str, str]:
+def source_files(exports: Exports, guid: str, fmi: str = "2") -> dict[str, str]:
     """All C files of a component's FMU by name, headers of FMI included.
+
+    Args:
+        fmi: "2" or "3".
 
     Raises:
         ValueError: an equation exceeds a fixed size of the runtime.
     """
-    files = {name: (RUNTIME / name).read_text() for name in (*RUNTIME_INCLUDED, *RUNTIME_SOURCES)}
-    files |= {name: (fmi_headers() / name).read_text() for name in FMI_HEADERS}
-    files["equations.c"] = equations_source(equations)
-    files["model.c"] = model_source(equations, guid)
+    files = {name: (RUNTIME / name).read_text() for name in (*RUNTIME_INCLUDED, *INTERFACES[fmi], *RUNTIME_SOURCES)}
+    files |= {name: (fmi_headers() / name).read_text() for name in FMI_HEADERS[fmi]}
+    files["equations.c"] = equations_source(exports.equations)
+    files["model.c"] = model_source(exports, guid)
     return files
 
 
@@ -74,17 +81,19 @@ def _without_checks(code: str) -> str:
     return re.sub(r"if \(res\[\d+\]!=0\) ", "", code)
 
 
-def model_source(equations: Equations, guid: str) -> str:
+def model_source(exports: Exports, guid: str) -> str:
     """`model.c`: the variables, lookups and functions as the runtime's tables."""
+    equations = exports.equations
     component, sizes = equations.component, equations.sizes
     uses = [" | ".join(_PURPOSES[name] for name in names) or "0" for names in equations.lookup_uses()]
     given = component.directional_derivatives
     lookups = [_lookup(i, lookup, uses[i], given) for i, lookup in enumerate(equations.lookups)]
     longest = max((lookup.argument_size for lookup in equations.lookups), default=0)
-    rows = ",\n".join(_variable(v) for v in equations.variables)
+    variables = [e for e in exports.all if e.role != "string"]
+    rows = ",\n".join(_variable(e) for e in variables)
     strings = equations.strings
     counts = [
-        sum(v.size for v in equations.variables), len(strings), len(lookups),
+        sum(e.variable.size for e in variables), len(strings), len(lookups),
         *(sizes[key] for key in "xzupkwy"), longest,
     ]  # fmt: skip
     functions = [_equation(name) for name in ("calculate", "initial", "derivatives", "outputs", "update", "switches")]
@@ -99,7 +108,7 @@ def model_source(equations: Equations, guid: str) -> str:
 #include "equations.c"
 
 static const variable variables[] = {{
-{rows or "    {0}"}
+{rows}
 }};
 
 static const char *const string_names[] = {{{_texts(v.name for v in strings)}}};
@@ -145,20 +154,27 @@ def number(value: float | None, otherwise: str = "0.0") -> str:
     return otherwise if value is None else repr(float(value))
 
 
-def _variable(v: Variable) -> str:
+_ROLES = {
+    "calculated": "CALCULATED",
+    "input": "INPUT",
+    "output": "OUTPUT",
+    "state": "STATE",
+    "sampled_state": "STATE",
+    "time": "INDEPENDENT",
+    "rate": "RATE",
+    "indicator": "INDICATOR",
+}
+
+
+def _variable(e: Exported) -> str:
+    """Rows of the runtime's table, one for each element."""
+    v = e.variable
     kind = {"real": "REAL", "integer": "INTEGER", "boolean": "BOOLEAN"}[v.kind]
-    role = {
-        "parameter": "TUNABLE_PARAMETER" if v.tunable else "FIXED_PARAMETER",
-        "calculated": "CALCULATED",
-        "input": "INPUT",
-        "output": "OUTPUT",
-        "state": "STATE",
-        "sampled_state": "STATE",
-    }[v.causality]
-    low, high = number(v.min, "-HUGE_VAL"), number(v.max, "HUGE_VAL")
+    role = _ROLES.get(e.role) or ("TUNABLE_PARAMETER" if v.tunable else "FIXED_PARAMETER")
+    low, high, nominal = number(v.min, "-HUGE_VAL"), number(v.max, "HUGE_VAL"), number(v.nominal, "1.0")
     return ",\n".join(
-        f"    {{{_text(name)}, {kind}, {role}, {number(start)}, {low}, {high}}}"
-        for name, start in zip(v.element_names(), v.start, strict=True)
+        f"    {{{_text(name)}, {kind}, {role}, {0 if i else v.size}, {number(start)}, {low}, {high}, {nominal}}}"
+        for i, (name, start) in enumerate(zip(e.element_names(), v.start, strict=True))
     )
 
 

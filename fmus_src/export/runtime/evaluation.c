@@ -10,8 +10,7 @@ int look_up(instance *m, const casadi_real **arg, int purpose)
     char message[512];
     for (int i = 0; i < model.n_lookups; i++) {
         const lookup *l = &model.lookups[i];
-        /* The integrator holds the switches' results; what is not needed now stays as it is. */
-        if (l->kind == SWITCH ? purpose == FOR_RATES || purpose == FOR_SIGNS : m->s.warm && !(l->uses & purpose)) {
+        if (l->kind == SWITCH ? !(purpose & WITH_SWITCHES) : m->s.warm && !(l->uses & purpose)) { /* stays as it is */
             result += l->results;
             continue;
         }
@@ -28,13 +27,15 @@ int look_up(instance *m, const casadi_real **arg, int purpose)
                 memset(result, 0, l->results * sizeof(double));
             } else {
                 result[l->results - 1] = 1.0;
-                if (wind_box_sample(box, arguments[0], arguments + 1, d->points, result, NULL, message, sizeof message)) {
-                    report(m, fmi2Error, "%s at %g s: %s", model.string_names[d->string], arguments[0], message);
+                if (wind_box_sample(box, arguments[0], arguments + 1, d->points, result, NULL, message,
+                                    sizeof message)) {
+                    report(m, "%s at %g s: %s", model.string_names[d->string], arguments[0], message);
                     return 1;
                 }
             }
-        } else if (implicit_evaluate(l->data, arguments, m->s.warm, result, m->iwork, m->work, message, sizeof message)) {
-            report(m, fmi2Error, "at %g s: %s", *arg[T], message);
+        } else if (implicit_evaluate(l->data, arguments, m->s.warm, result, m->iwork, m->work, message,
+                                     sizeof message)) {
+            report(m, "at %g s: %s", *arg[T], message);
             return 1;
         }
         result += l->results;
@@ -56,7 +57,7 @@ int sample(instance *m, const double *u, double begin)
     double *next = m->scratch + AT_NEXT_Z;
     inputs_at(m, u, m->s.time - begin);
     arguments_of(m, &m->s.time, m->values + AT_X, arg);
-    if (look_up(m, arg, FOR_UPDATE)) return 1;
+    if (look_up(m, arg, FOR_UPDATE | WITH_SWITCHES)) return 1;
     call(m, &model.update, arg, next, NULL);
     memcpy(m->values + AT_Z, next, model.n_z * sizeof(double));
     return 0;
@@ -72,10 +73,10 @@ void start(instance *m)
     call(m, &model.initial, arg, v + AT_X, v + AT_Z);
     m->s.started = 1;
     m->s.warm = 0;
-    m->outputs_current = 0;
+    m->current = 0;
 }
 
-fmi2Status open_boxes(instance *m)
+int open_boxes(instance *m)
 {
     char message[512];
     for (int i = 0; i < model.n_lookups; i++) {
@@ -83,30 +84,50 @@ fmi2Status open_boxes(instance *m)
         int s = ((const field_data *)model.lookups[i].data)->string;
         if (m->boxes[s] || !m->strings[s][0]) continue;
         m->boxes[s] = wind_box_open(m->strings[s], message, sizeof message);
-        if (!m->boxes[s]) return report(m, fmi2Error, "%s: %s", model.string_names[s], message);
+        if (!m->boxes[s]) return report(m, "%s: %s", model.string_names[s], message);
     }
-    return fmi2OK;
+    return 0;
 }
 
-fmi2Status current(instance *m)
+int begun(instance *m)
+{
+    if (m->s.started || m->s.mode == INSTANTIATED) return 0;
+    start(m);
+    return open_boxes(m);
+}
+
+static int all_finite(instance *m, const char *what, int first, int n)
+{
+    const double *v = m->values + first;
+    for (int i = 0; i < n; i++)
+        if (!isfinite(v[i]))
+            return report(m, "%s %s = %g at %g s is not finite", what, model.variables[first + i].name, v[i],
+                          m->s.time), 0;
+    return 1;
+}
+
+int refresh(instance *m, int purposes)
 {
     const casadi_real *arg[N_ARGUMENTS] = {0};
-    double *y = m->values + AT_Y;
-    if (m->outputs_current || m->s.mode == INSTANTIATED) return fmi2OK;
-    if (!m->s.started) {
-        start(m);
-        if (open_boxes(m) != fmi2OK) return fmi2Error;
-    }
+    if (!(purposes & ~m->current) || m->s.mode == INSTANTIATED) return 0;
+    if (begun(m)) return 1;
     if (m->s.mode == INITIALISING && model.sample_at_start) { /* anew with every change of an input */
         start(m);
-        if (sample(m, m->values + AT_U, m->s.time)) return fmi2Error;
+        if (sample(m, m->values + AT_U, m->s.time)) return 1;
     }
+    const int missing = purposes & ~m->current;
     arguments_of(m, &m->s.time, m->values + AT_X, arg);
-    if (look_up(m, arg, FOR_OUTPUTS)) return fmi2Error;
-    call(m, &model.outputs, arg, y, NULL);
-    for (int i = 0; i < model.n_y; i++)
-        if (!isfinite(y[i]))
-            return report(m, fmi2Error, "output %s = %g at %g s is not finite", model.variables[AT_Y + i].name, y[i], m->s.time);
-    m->outputs_current = 1;
-    return fmi2OK;
+    /* Between events of model exchange the switches are held, so that its integrator sees smooth equations. */
+    if (look_up(m, arg, m->s.mode == CONTINUOUS ? missing : missing | WITH_SWITCHES)) return 1;
+    if (missing & FOR_OUTPUTS) {
+        call(m, &model.outputs, arg, m->values + AT_Y, NULL);
+        if (!all_finite(m, "output", AT_Y, model.n_y)) return 1;
+    }
+    if (missing & FOR_RATES) {
+        call(m, &model.derivatives, arg, m->values + AT_RATES, NULL);
+        if (!all_finite(m, "derivative", AT_RATES, model.n_x)) return 1;
+    }
+    if (missing & FOR_SIGNS) call(m, &model.switches, arg, m->values + AT_INDICATORS, NULL);
+    m->current |= missing;
+    return 0;
 }

@@ -1,120 +1,243 @@
-/* FMI 2.0 Co-Simulation on top of the generated equations: the course of a simulation, and its steps.
- *
- * No global state, any number of instances. Inputs are polynomials over the step (fmi2SetRealInputDerivatives, order 1
- * and 2); sampled states change at start + k * sample_time, k = 1, 2, ... (or 0, 1, ...).
- */
-#include <float.h>
-#include <math.h>
-#include <string.h>
-
+/* FMI 2.0, Co-Simulation and Model Exchange: its functions in terms of instance.h. */
+#include "fmi2Functions.h"
 #include "instance.h"
+
+static fmi2Status status(int failed) { return failed ? fmi2Error : fmi2OK; }
+
+void deliver(const instance *m, const char *text)
+{
+    const fmi2CallbackLogger logger = (fmi2CallbackLogger)m->logger;
+    if (!logger) return;
+    /* The text itself is the format, since many importers do not expand arguments; so percent signs are doubled. */
+    char escaped[2048], *to = escaped;
+    for (const char *from = text; *from && to < escaped + sizeof escaped - 2; from++) {
+        if (*from == '%') *to++ = '%';
+        *to++ = *from;
+    }
+    *to = 0;
+    logger(m->environment, m->name, fmi2Error, "logStatusError", escaped);
+}
 
 const char *fmi2GetTypesPlatform(void) { return fmi2TypesPlatform; }
 const char *fmi2GetVersion(void) { return fmi2Version; }
 
+fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String resources,
+                              const fmi2CallbackFunctions *callbacks, fmi2Boolean visible, fmi2Boolean logging)
+{
+    (void)resources, (void)visible, (void)logging; /* what is logged are errors: always */
+    allocator memory = {NULL, NULL};
+    if (!callbacks) return create(name, guid, type == fmi2ModelExchange, memory, NULL, NULL);
+    memory.allocate = callbacks->allocateMemory;
+    memory.release = callbacks->freeMemory;
+    return create(name, guid, type == fmi2ModelExchange, memory, callbacks->componentEnvironment,
+                  (void (*)(void))callbacks->logger);
+}
+
+void fmi2FreeInstance(fmi2Component c) { destroy(c); }
+
 fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n, const fmi2String categories[])
 {
-    (void)n;
-    (void)categories;
-    if (!c) return fmi2Error;
-    ((instance *)c)->logging = on;
-    return fmi2OK;
+    (void)on, (void)n, (void)categories;
+    return status(!c);
 }
 
 fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean has_tolerance, fmi2Real tolerance, fmi2Real begin,
                                fmi2Boolean has_stop, fmi2Real stop)
 {
-    (void)has_tolerance;
-    (void)tolerance;
-    instance *m = c;
-    if (!m) return fmi2Error;
-    if (m->s.mode != INSTANTIATED || !isfinite(begin))
-        return report(m, fmi2Error, "fmi2SetupExperiment: only once, before initialisation, with a finite start time");
-    m->s.time = m->s.start = begin;
-    m->s.stop = has_stop ? stop : HUGE_VAL;
-    return fmi2OK;
+    (void)has_tolerance, (void)tolerance;
+    return status(!c || set_up(c, "fmi2SetupExperiment", begin, has_stop, stop));
 }
 
 fmi2Status fmi2EnterInitializationMode(fmi2Component c)
 {
-    instance *m = c;
-    if (!m) return fmi2Error;
-    if (m->s.mode != INSTANTIATED) return report(m, fmi2Error, "fmi2EnterInitializationMode: called out of order");
-    m->s.mode = INITIALISING;
-    return fmi2OK;
+    return status(!c || begin_initialisation(c, "fmi2EnterInitializationMode"));
 }
 
 fmi2Status fmi2ExitInitializationMode(fmi2Component c)
 {
-    instance *m = c;
-    if (!m) return fmi2Error;
-    if (m->s.mode != INITIALISING) return report(m, fmi2Error, "fmi2ExitInitializationMode: called out of order");
-    if (!m->s.started) start(m);
-    if (open_boxes(m) != fmi2OK) return fmi2Error;
-    if (model.sample_at_start && current(m) != fmi2OK) return fmi2Error;
-    m->s.mode = STEPPING;
-    return fmi2OK;
+    return status(!c || end_initialisation(c, "fmi2ExitInitializationMode"));
 }
 
 fmi2Status fmi2Terminate(fmi2Component c)
 {
-    instance *m = c;
-    if (!m) return fmi2Error;
-    if (m->s.mode == STEPPING) m->s.mode = TERMINATED;
+    if (!c) return fmi2Error;
+    terminate(c);
     return fmi2OK;
 }
 
 fmi2Status fmi2Reset(fmi2Component c)
 {
-    instance *m = c;
-    if (!m) return fmi2Error;
-    return restart(m) ? report(m, fmi2Error, "out of memory") : fmi2OK;
+    if (!c) return fmi2Error;
+    return status(restart(c) && report(c, "out of memory"));
 }
 
-fmi2Status fmi2DoStep(fmi2Component c, fmi2Real now, fmi2Real step, fmi2Boolean no_rollback)
+/* Variables */
+
+fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2Real value[])
 {
-    (void)no_rollback;
-    instance *m = c;
-    if (!m) return fmi2Error;
-    if (m->s.mode != STEPPING) return report(m, fmi2Error, "fmi2DoStep: the FMU is not initialised, has ended or has failed");
-    if (!(step > 0.0) || !isfinite(step)) return report(m, fmi2Error, "fmi2DoStep: step %g s is not positive", step);
-    double slack = 1e-9 * fmax(1.0, fabs(now)) + 1e-6 * step;
-    if (!isfinite(now) || fabs(now - m->s.time) > slack)
-        return report(m, fmi2Error, "fmi2DoStep: called for %.9g s, but the FMU is at %.9g s", now, m->s.time);
-    if (now + step > m->s.stop + slack)
-        return report(m, fmi2Error, "fmi2DoStep: to %.9g s, beyond the stop time %.9g s", now + step, m->s.stop);
-    double begin = now, end = now + step, *v = m->values;
-    double *u = m->scratch + AT_STEP_U;
-    memcpy(u, v + AT_U, model.n_u * sizeof(double));
-    m->s.time = now;
-    m->outputs_current = 0;
-    while (model.sample_time > 0.0) {
-        /* An importer that adds up its steps is off by about 1e-5 of one after a million: such an end is the instant. */
-        double instant = m->s.start + (double)(m->s.samples + 1) * model.sample_time, near = 1e-4 * model.sample_time;
-        if (instant > end + near) break;
-        if (integrate(m, u, begin, instant > end - near ? end : instant) || sample(m, u, begin)) return fmi2Error;
-        m->s.samples++;
+    if (!c) return fmi2Error;
+    for (size_t i = 0; i < n; i++) {
+        if (check(c, "fmi2GetReal", vr[i], REAL, value) || require(c, (int)vr[i])) return fmi2Error;
+        value[i] = value_of(c, (int)vr[i]);
     }
-    if (integrate(m, u, begin, end)) return fmi2Error;
-    inputs_at(m, u, end - begin);
-    memset(v + AT_SLOPE, 0, 2 * (size_t)model.n_u * sizeof(double));
-    int wrong = 0;
-    for (int i = AT_X; i < AT_W; i++) wrong |= !(fabs(v[i]) <= DBL_MAX); /* without a branch: there may be thousands */
-    for (int i = AT_X; wrong && i < AT_W; i++)
-        if (!isfinite(v[i]))
-            return report(m, fmi2Error, "state %s = %g at %g s: the model is unstable or the step too large",
-                          model.variables[i].name, v[i], end);
     return fmi2OK;
 }
 
-fmi2Status fmi2CancelStep(fmi2Component c) { return c ? report(c, fmi2Error, "fmi2CancelStep: steps are synchronous") : fmi2Error; }
+static fmi2Status get_whole(instance *m, const char *function, const fmi2ValueReference vr[], size_t n,
+                            variable_kind kind, int value[])
+{
+    if (!m) return fmi2Error;
+    for (size_t i = 0; i < n; i++) {
+        if (check(m, function, vr[i], kind, value) || require(m, (int)vr[i])) return fmi2Error;
+        value[i] = (int)value_of(m, (int)vr[i]);
+    }
+    return fmi2OK;
+}
+
+fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2Integer value[])
+{
+    return get_whole(c, "fmi2GetInteger", vr, n, INTEGER, value);
+}
+
+fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2Boolean value[])
+{
+    return get_whole(c, "fmi2GetBoolean", vr, n, BOOLEAN, value);
+}
+
+fmi2Status fmi2GetString(fmi2Component c, const fmi2ValueReference vr[], size_t n, fmi2String value[])
+{
+    instance *m = c;
+    if (!m) return fmi2Error;
+    for (size_t i = 0; i < n; i++) {
+        if (!value || vr[i] >= (unsigned)model.n_strings) return status(unknown(m, "fmi2GetString", vr[i], value));
+        value[i] = m->strings[vr[i]];
+    }
+    return fmi2OK;
+}
+
+fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Real value[])
+{
+    if (!c) return fmi2Error;
+    for (size_t i = 0; i < n; i++)
+        if (check(c, "fmi2SetReal", vr[i], REAL, value) || assign(c, "fmi2SetReal", (int)vr[i], value[i]))
+            return fmi2Error;
+    return fmi2OK;
+}
+
+static fmi2Status set_whole(instance *m, const char *function, const fmi2ValueReference vr[], size_t n,
+                            variable_kind kind, const int value[])
+{
+    if (!m) return fmi2Error;
+    for (size_t i = 0; i < n; i++) {
+        if (check(m, function, vr[i], kind, value)) return fmi2Error;
+        if (assign(m, function, (int)vr[i], kind == BOOLEAN ? value[i] != 0 : value[i])) return fmi2Error;
+    }
+    return fmi2OK;
+}
+
+fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Integer value[])
+{
+    return set_whole(c, "fmi2SetInteger", vr, n, INTEGER, value);
+}
+
+fmi2Status fmi2SetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2Boolean value[])
+{
+    return set_whole(c, "fmi2SetBoolean", vr, n, BOOLEAN, value);
+}
+
+fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference vr[], size_t n, const fmi2String value[])
+{
+    if (!c) return fmi2Error;
+    for (size_t i = 0; i < n; i++) {
+        if (!value || vr[i] >= (unsigned)model.n_strings) return status(unknown(c, "fmi2SetString", vr[i], value));
+        if (set_string(c, "fmi2SetString", vr[i], value[i])) return fmi2Error;
+    }
+    return fmi2OK;
+}
+
+fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t n,
+                                       const fmi2Integer order[], const fmi2Real value[])
+{
+    const char *function = "fmi2SetRealInputDerivatives";
+    if (!c) return fmi2Error;
+    for (size_t i = 0; i < n; i++)
+        if (check(c, function, vr[i], REAL, order && value ? value : NULL)
+            || set_slope(c, function, (int)vr[i], order[i], value[i]))
+            return fmi2Error;
+    return fmi2OK;
+}
+
+fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference vr[], size_t n,
+                                        const fmi2Integer order[], fmi2Real value[])
+{
+    (void)vr, (void)n, (void)order, (void)value;
+    return status(!c || report(c, "fmi2GetRealOutputDerivatives: not provided (maxOutputDerivativeOrder is 0)"));
+}
+
+fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference sought[], size_t n_sought,
+                                        const fmi2ValueReference known[], size_t n_known, const fmi2Real dknown[],
+                                        fmi2Real dsought[])
+{
+    const char *function = "fmi2GetDirectionalDerivative";
+    int purposes = 0;
+    if (!c || directional_begin(c, function)) return fmi2Error;
+    for (size_t i = 0; i < n_known; i++)
+        if (check(c, function, known[i], REAL, dknown) || directional_seed(c, function, (int)known[i], dknown[i]))
+            return fmi2Error;
+    for (size_t i = 0; i < n_sought; i++) {
+        if (check(c, function, sought[i], REAL, dsought)) return fmi2Error;
+        purposes |= model.variables[sought[i]].role == RATE ? FOR_RATES : FOR_OUTPUTS;
+    }
+    if (directional_evaluate(c, function, purposes)) return fmi2Error;
+    for (size_t i = 0; i < n_sought; i++)
+        if (directional_result(c, function, (int)sought[i], &dsought[i])) return fmi2Error;
+    return fmi2OK;
+}
+
+/* The FMU's state */
+
+fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state) { return status(!c || !state || get_state(c, state)); }
+fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state) { return status(!c || !state || set_state(c, state)); }
+
+fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state)
+{
+    if (!c || !state) return fmi2Error;
+    free_state(c, state);
+    return fmi2OK;
+}
+
+fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate state, size_t *size)
+{
+    if (!c || !state || !size) return fmi2Error;
+    *size = state_size(state);
+    return fmi2OK;
+}
+
+fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate state, fmi2Byte bytes[], size_t size)
+{
+    return status(!c || !state || !bytes || write_state(c, state, bytes, size));
+}
+
+fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], size_t size, fmi2FMUstate *state)
+{
+    return status(!c || !bytes || !state || read_state(c, "fmi2DeSerializeFMUstate", bytes, size, state));
+}
+
+/* Co-simulation */
+
+fmi2Status fmi2DoStep(fmi2Component c, fmi2Real now, fmi2Real length, fmi2Boolean no_rollback)
+{
+    (void)no_rollback;
+    return status(!c || step(c, "fmi2DoStep", now, length));
+}
+
+fmi2Status fmi2CancelStep(fmi2Component c) { return status(!c || report(c, "fmi2CancelStep: steps are synchronous")); }
 
 static fmi2Status no_status(fmi2Component c) { return c ? fmi2Discard : fmi2Error; }
 
 fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Status *value)
 {
-    (void)kind;
-    (void)value;
+    (void)kind, (void)value;
     return no_status(c);
 }
 
@@ -127,8 +250,7 @@ fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Rea
 
 fmi2Status fmi2GetIntegerStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Integer *value)
 {
-    (void)kind;
-    (void)value;
+    (void)kind, (void)value;
     return no_status(c);
 }
 
@@ -141,7 +263,66 @@ fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind kind, fmi2
 
 fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind kind, fmi2String *value)
 {
-    (void)kind;
-    (void)value;
+    (void)kind, (void)value;
     return no_status(c);
+}
+
+/* Model exchange */
+
+fmi2Status fmi2EnterEventMode(fmi2Component c) { return status(!c || enter_event_mode(c, "fmi2EnterEventMode")); }
+
+fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info)
+{
+    int has_next;
+    double next = 0.0;
+    if (!c || !info || update_discrete(c, "fmi2NewDiscreteStates", &has_next, &next)) return fmi2Error;
+    info->newDiscreteStatesNeeded = fmi2False;
+    info->terminateSimulation = fmi2False;
+    info->nominalsOfContinuousStatesChanged = fmi2False;
+    info->valuesOfContinuousStatesChanged = fmi2False;
+    info->nextEventTimeDefined = has_next ? fmi2True : fmi2False;
+    info->nextEventTime = next;
+    return fmi2OK;
+}
+
+fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c)
+{
+    return status(!c || enter_continuous_mode(c, "fmi2EnterContinuousTimeMode"));
+}
+
+fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean no_rollback, fmi2Boolean *event, fmi2Boolean *end)
+{
+    (void)no_rollback;
+    int due;
+    if (!c || !event || !end || complete_step(c, "fmi2CompletedIntegratorStep", &due)) return fmi2Error;
+    *event = due ? fmi2True : fmi2False;
+    *end = fmi2False;
+    return fmi2OK;
+}
+
+fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time) { return status(!c || set_time(c, "fmi2SetTime", time)); }
+
+fmi2Status fmi2SetContinuousStates(fmi2Component c, const fmi2Real x[], size_t n)
+{
+    return status(!c || set_states(c, "fmi2SetContinuousStates", x, n));
+}
+
+fmi2Status fmi2GetContinuousStates(fmi2Component c, fmi2Real x[], size_t n)
+{
+    return status(!c || get_states(c, "fmi2GetContinuousStates", x, n));
+}
+
+fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component c, fmi2Real nominals[], size_t n)
+{
+    return status(!c || get_nominals(c, "fmi2GetNominalsOfContinuousStates", nominals, n));
+}
+
+fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real rates[], size_t n)
+{
+    return status(!c || get_rates(c, "fmi2GetDerivatives", rates, n));
+}
+
+fmi2Status fmi2GetEventIndicators(fmi2Component c, fmi2Real indicators[], size_t n)
+{
+    return status(!c || get_indicators(c, "fmi2GetEventIndicators", indicators, n));
 }

@@ -5,6 +5,7 @@
 
 typedef struct {
     size_t size;     /* of all, in bytes */
+    long long model_exchange;
     scalars s;
     double values[]; /* then texts, each with its final zero: the guid and the string variables */
 } saved_state;
@@ -12,25 +13,24 @@ typedef struct {
 #define AT_TEXTS (sizeof(saved_state) + (size_t)N_VALUES * sizeof(double)) /* in the bytes of a saved state */
 
 /* A state of this size: the one given if it fits, else a new one in its place. */
-static saved_state *room_for_state(instance *m, fmi2FMUstate *state, size_t size)
+static saved_state *room_for_state(instance *m, void **state, size_t size)
 {
     saved_state *saved = *state;
     if (saved && saved->size == size) return saved;
-    release(&m->callbacks, saved);
-    *state = saved = allocate(&m->callbacks, 1, size);
+    release(&m->memory, saved);
+    *state = saved = allocate(&m->memory, 1, size);
     if (saved) saved->size = size;
     return saved;
 }
 
-fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state)
+int get_state(instance *m, void **state)
 {
-    instance *m = c;
-    if (!m || !state) return fmi2Error;
     size_t size = AT_TEXTS + strlen(model.guid) + 1;
     for (int i = 0; i < model.n_strings; i++) size += strlen(m->strings[i]) + 1;
     saved_state *saved = room_for_state(m, state, size);
-    if (!saved) return report(m, fmi2Error, "out of memory");
+    if (!saved) return report(m, "out of memory");
     saved->s = m->s;
+    saved->model_exchange = m->model_exchange;
     memcpy(saved->values, m->values, N_VALUES * sizeof(double));
     char *text = (char *)saved + AT_TEXTS;
     strcpy(text, model.guid);
@@ -38,52 +38,44 @@ fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state)
         text += strlen(text) + 1;
         strcpy(text, m->strings[i]);
     }
-    return fmi2OK;
+    return 0;
 }
 
-fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state)
+int set_state(instance *m, const void *state)
 {
-    instance *m = c;
     const saved_state *saved = state;
-    if (!m || !saved) return fmi2Error;
     const char *text = (const char *)saved + AT_TEXTS;
+    if (saved->model_exchange != m->model_exchange)
+        return report(m, "the saved state is one of %s, this instance is not",
+                      saved->model_exchange ? "model exchange" : "co-simulation");
     for (int i = 0; i < model.n_strings; i++) {
         text += strlen(text) + 1;
-        if (strcmp(text, m->strings[i]) && set_text(m, (size_t)i, text)) return report(m, fmi2Error, "out of memory");
+        if (strcmp(text, m->strings[i]) && set_text(m, (size_t)i, text)) return report(m, "out of memory");
     }
     m->s = saved->s;
     memcpy(m->values, saved->values, N_VALUES * sizeof(double));
-    m->outputs_current = 0;
+    m->current = 0;
     /* A state from another instance or process: its wind files are not open here yet. */
-    return m->s.started ? open_boxes(m) : fmi2OK;
+    return m->s.started ? open_boxes(m) : 0;
 }
 
-fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state)
+void free_state(instance *m, void **state)
 {
-    instance *m = c;
-    if (!m || !state) return fmi2Error;
-    release(&m->callbacks, *state);
+    release(&m->memory, *state);
     *state = NULL;
-    return fmi2OK;
 }
 
-fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate state, size_t *size)
-{
-    if (!c || !state || !size) return fmi2Error;
-    *size = ((saved_state *)state)->size;
-    return fmi2OK;
-}
+size_t state_size(const void *state) { return ((const saved_state *)state)->size; }
 
-fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate state, fmi2Byte bytes[], size_t size)
+int write_state(instance *m, const void *state, void *bytes, size_t size)
 {
-    if (!c || !state || !bytes) return fmi2Error;
-    size_t needed = ((saved_state *)state)->size;
-    if (size < needed) return report(c, fmi2Error, "fmi2SerializeFMUstate: needs %u bytes", (unsigned)needed);
+    const size_t needed = state_size(state);
+    if (size < needed) return report(m, "a serialised state needs %u bytes", (unsigned)needed);
     memcpy(bytes, state, needed);
-    return fmi2OK;
+    return 0;
 }
 
-static int is_state(const fmi2Byte *bytes, size_t size)
+static int is_state(const char *bytes, size_t size)
 {
     size_t own, guid = strlen(model.guid) + 1;
     int texts = 0;
@@ -93,12 +85,10 @@ static int is_state(const fmi2Byte *bytes, size_t size)
     return own == size && texts == 1 + model.n_strings && bytes[size - 1] == 0;
 }
 
-fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], size_t size, fmi2FMUstate *state)
+int read_state(instance *m, const char *function, const void *bytes, size_t size, void **state)
 {
-    instance *m = c;
-    if (!m || !bytes || !state) return fmi2Error;
-    if (!is_state(bytes, size)) return report(m, fmi2Error, "fmi2DeSerializeFMUstate: %u bytes are no state of this FMU", (unsigned)size);
-    if (!room_for_state(m, state, size)) return report(m, fmi2Error, "out of memory");
+    if (!is_state(bytes, size)) return report(m, "%s: %u bytes are no state of this FMU", function, (unsigned)size);
+    if (!room_for_state(m, state, size)) return report(m, "out of memory");
     memcpy(*state, bytes, size);
-    return fmi2OK;
+    return 0;
 }

@@ -1,7 +1,7 @@
 /* Classical Runge-Kutta with sub-steps of at most `internal_step`, which end where a switch changes sign.
  *
- * Over a sub-step the switches' results are held, so that its formula sees smooth equations: the order of convergence is
- * kept across end stops and the like. */
+ * Over a sub-step the switches' results are held, so that its formula sees smooth equations: the order of
+ * convergence is kept across end stops and the like. */
 #include <math.h>
 #include <string.h>
 
@@ -58,13 +58,12 @@ static int signs_at(solver *s, double t, const double *x, double *result)
 
 static double *held(const instance *m, int i) { return &m->values[AT_W + model.switches_at[i]]; }
 
-static void hold(const instance *m, const double *signs)
+void hold(const instance *m, const double *signs)
 {
     for (int i = 0; i < model.n_switches; i++) *held(m, i) = signs[i] > 0.0;
 }
 
-/* Whether any switch's sign is not the one held. */
-static int differ(const instance *m, const double *now)
+int differ(const instance *m, const double *now)
 {
     int different = 0;
     for (int i = 0; i < model.n_switches; i++) different |= (now[i] > 0.0) != (*held(m, i) > 0.0);
@@ -125,8 +124,7 @@ static int locate(solver *s, double t, double *h, const double *x, double *k, do
     return 0;
 }
 
-/* Switches that were zero take the sign of what follows; 1 if any did. */
-static int depart(const instance *m, const double *before, const double *after)
+int depart(const instance *m, const double *before, const double *after)
 {
     int any = 0;
     for (int i = 0; i < model.n_switches; i++) {
@@ -171,7 +169,8 @@ int integrate(instance *m, const double *u, double begin, double end)
     }
     double whole = ceil(span / model.internal_step - 1e-6), t0 = m->s.time;
     long long steps = whole < 1.0 ? 1 : (long long)whole;
-    double h = span / (double)steps, *x = m->values + AT_X, *k = m->scratch + AT_STAGES, *before = m->scratch + AT_SWITCHES;
+    double h = span / (double)steps, *x = m->values + AT_X, *k = m->scratch + AT_STAGES;
+    double *before = m->scratch + AT_SWITCHES;
     solver s;
     s.m = m;
     s.u = u;

@@ -4,6 +4,11 @@
 
 #include <stddef.h>
 
+/* Not for other libraries, however this one is compiled: the C library has a `step` of its own, for one. */
+#if defined(__GNUC__) && !defined(_WIN32)
+#pragma GCC visibility push(hidden)
+#endif
+
 /* As CasADi's generated code declares them. */
 #ifndef casadi_real
 #define casadi_real double
@@ -24,13 +29,16 @@ typedef struct {
 enum { T, X, Z, U, P, K, W, DX, DU, DW, N_ARGUMENTS }; /* argument order of the equations */
 
 typedef enum { REAL, INTEGER, BOOLEAN } variable_kind;
-typedef enum { FIXED_PARAMETER, TUNABLE_PARAMETER, CALCULATED, INPUT, OUTPUT, STATE } variable_role;
+typedef enum {
+    FIXED_PARAMETER, TUNABLE_PARAMETER, INPUT, CALCULATED, OUTPUT, STATE, INDEPENDENT, RATE, INDICATOR
+} variable_role;
 
 typedef struct {
     const char *name;
     variable_kind kind;
     variable_role role;
-    double start, min, max;
+    int size; /* elements of the declared variable if this is its first one, else 0 */
+    double start, min, max, nominal;
 } variable;
 
 /* Lookups: operations on arguments -> results that are not plain expressions; STORED keeps the arguments as they are,
@@ -55,7 +63,8 @@ typedef struct {
     int unknowns, row, count;
 } implicit_data;
 
-enum { FOR_RATES = 1, FOR_OUTPUTS = 2, FOR_UPDATE = 4, FOR_SIGNS = 8 }; /* what lookups are evaluated for */
+/* What lookups are evaluated for; WITH_SWITCHES: the switches too, which stay as they are held without it. */
+enum { FOR_RATES = 1, FOR_OUTPUTS = 2, FOR_UPDATE = 4, FOR_SIGNS = 8, WITH_SWITCHES = 16 };
 
 typedef struct {
     lookup_kind kind;
@@ -73,7 +82,7 @@ typedef struct {
     double internal_step, sample_time;                  /* sample_time 0: no sampled states */
     int sample_at_start, n_switches;
     const int *switches_at;                             /* their places in w */
-    const variable *variables;                          /* order: p, k, u, y, x, z */
+    const variable *variables;                          /* order: p, k, u, y, x, z, time, rates, indicators */
     const char *const *string_names, *const *string_starts;
     const lookup *lookups;
     equation calculate, initial, derivatives, outputs, update, switches, forward;
@@ -97,5 +106,9 @@ int implicit_evaluate(const implicit_data *data, const double *arguments, int wa
                       casadi_real *work, char *message, size_t size);
 int implicit_forward(const implicit_data *data, const double *arguments, const double *solution,
                      const double *darguments, double *dsolution, casadi_int *iw, casadi_real *work);
+
+#if defined(__GNUC__) && !defined(_WIN32)
+#pragma GCC visibility pop
+#endif
 
 #endif
