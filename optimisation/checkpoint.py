@@ -7,6 +7,7 @@ import json
 import os
 import zipfile
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -32,8 +33,8 @@ def write_checkpoint(path: Path, problem: Mapping[str, Any], record: Record) -> 
             file,
             about=np.array(json.dumps(about)),
             sizes=np.array([len(x) for x in record.candidates]),
-            candidates=np.concatenate(record.candidates),
-            values=np.concatenate(record.values),
+            candidates=np.concatenate(record.candidates) if record.candidates else np.empty((0, 0)),
+            values=np.concatenate(record.values) if record.values else np.empty((0, 0)),
         )
         file.flush()
         os.fsync(file.fileno())
@@ -57,11 +58,12 @@ def read_checkpoint(path: Path) -> tuple[dict[str, Any], Record]:
     try:
         with np.load(path, allow_pickle=False) as content:
             about = json.loads(str(content["about"]))
-            ends = np.cumsum(content["sizes"])[:-1]
+            sizes = content["sizes"]
+            ends = np.cumsum(sizes)[:-1]
             candidates, values = content["candidates"], content["values"]
         record = Record(
-            tuple(np.split(candidates, ends)),
-            tuple(np.split(values, ends)),
+            tuple(np.split(candidates, ends)) if len(sizes) else (),
+            tuple(np.split(values, ends)) if len(sizes) else (),
             about["random_state"],
             about["library"],
             about["seconds"],
@@ -91,7 +93,7 @@ def refuse_another(path: Path, saved: Mapping[str, Any], problem: Mapping[str, A
     Raises:
         ValueError: they differ; names what.
     """
-    wanted = json.loads(json.dumps(problem))
+    saved, wanted = (json.loads(json.dumps(p, default=asdict)) for p in (saved, problem))
     differing = [name for name in {**saved, **wanted} if saved.get(name) != wanted.get(name)]
     if differing:
         words = "; ".join(_difference(name, saved.get(name), wanted.get(name)) for name in differing)
@@ -102,8 +104,8 @@ def _difference(name: str, saved: Any, wanted: Any) -> str:
     if isinstance(saved, dict) and isinstance(wanted, dict):
         inner = [key for key in {**saved, **wanted} if saved.get(key) != wanted.get(key)]
         return ", ".join(_difference(f"{name} {key}", saved.get(key), wanted.get(key)) for key in inner)
-    if name == "fmu":
-        return "the FMU has another content"
+    if name == "fmu" or name.startswith("models"):
+        return "the FMU has another content" if name == "fmu" else f"the model of{name[len('models') :]} is another"
     return f"{name} {_words(wanted)}, there {_words(saved)}"
 
 

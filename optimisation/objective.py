@@ -6,7 +6,7 @@ import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Self, cast, get_args
@@ -29,21 +29,24 @@ from optimisation.stability import check_parameters
 Array = npt.NDArray[np.float64]
 DamperName = Literal["tmd-n", "tmd-p", "mtmd"]
 FITNESS = "tower_top_displacement_std"
+BASE_UNITS = {"N/m": {"kg": 1, "s": -2}, "N.s/m": {"kg": 1, "s": -1}}
 
 
 @dataclass(frozen=True)
 class DesignVariable:
-    """A damper parameter to be tuned, with its bounds (eq. 14; its second line names the nacelle twice).
+    """A parameter to be tuned, with its bounds (those of eq. 14; its second line names the nacelle twice).
 
     Attributes:
         name: of the FMU's variable, such as "nacelle_damper.k".
-        unit: of name, bounds and result.
+        unit: of bounds and result; "" for none.
+        base: the unit's exponents of SI base units, as FMI and SSP have them, such as {"kg": 1, "s": -2}.
     """
 
     name: str
     lower: float
     upper: float
     unit: str
+    base: Mapping[str, int | float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -79,7 +82,7 @@ def design(damper: str) -> Design:
         raise ValueError(f"unknown damper '{damper}': choose one of {', '.join(get_args(DamperName))}")
     places = {"nacelle_damper": (50_000.0, damper != "tmd-p"), "platform_damper": (200_000.0, damper != "tmd-n")}
     variables = tuple(
-        DesignVariable(f"{place}.{name}", 0.0, upper, unit)
+        DesignVariable(f"{place}.{name}", 0.0, upper, unit, BASE_UNITS[unit])
         for place, (upper, present) in places.items()
         if present
         for name, unit in (("k", "N/m"), ("c", "N.s/m"))
@@ -104,6 +107,25 @@ def with_bounds(task: Design, bounds: Mapping[str, tuple[float, float]]) -> Desi
         replace(v, lower=bounds[v.name][0], upper=bounds[v.name][1]) if v.name in bounds else v for v in task.variables
     )
     return replace(task, variables=variables)
+
+
+def with_variables(task: Design, variables: Mapping[str, tuple[float, float]]) -> Design:
+    """The design with further variables, by name with their bounds; one that it has gets these bounds.
+
+    Raises:
+        ValueError: bounds are not finite and ascending, or the variable switches a damper on or off.
+    """
+    for name, (lower, upper) in variables.items():
+        if name in task.switches:
+            raise ValueError(f"variable {name}: {task.damper} sets it; choose another damper instead")
+        if not (np.isfinite(lower) and np.isfinite(upper) and lower < upper):
+            raise ValueError(f"variable {name}={lower:g}:{upper:g}: the lower bound comes first, both finite")
+    known = {v.name: v for v in task.variables}
+    new = {
+        name: replace(known.get(name, DesignVariable(name, lower, upper, "")), lower=lower, upper=upper)
+        for name, (lower, upper) in variables.items()
+    }
+    return replace(task, variables=tuple((known | new).values()))
 
 
 class TowerTopDeviation:

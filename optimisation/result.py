@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from optimisation.checkpoint import write_atomically
-from optimisation.objective import DamperName, design
+from optimisation.objective import DamperName, DesignVariable, design
 from optimisation.polish import LocalOptimum
 from optimisation.search import Generation
 from optimisation.strategies import Method
-
-BASE_UNITS = {"N/m": {"kg": 1, "s": -2}, "N.s/m": {"kg": 1, "s": -1}}
 
 
 @dataclass(frozen=True)
@@ -32,7 +31,7 @@ class OptimisationResult:
         seconds: wall time of the search.
         seed: of the random numbers.
         undamped_fitness: without any damper, m.
-        bounds: of the search, by name.
+        bounds: of the search, by name; variables: the same with units (none: those of eq. 14).
         first_failure: message, or None.
         local_optimum: what the polish found, or None.
     """
@@ -48,6 +47,7 @@ class OptimisationResult:
     seed: int
     undamped_fitness: float
     bounds: dict[str, tuple[float, float]]
+    variables: tuple[DesignVariable, ...] = ()
     failures: int = 0
     first_failure: str | None = None
     local_optimum: LocalOptimum | None = None
@@ -93,7 +93,7 @@ def write_json(result: OptimisationResult, path: Path) -> Path:
         ],
     }
     # nan and inf, which a failed generation's mean may be, are no JSON
-    return write_atomically(path, json.dumps(_plain(content), indent=2, allow_nan=False) + "\n")
+    return write_atomically(path, json.dumps(plain(content), indent=2, allow_nan=False) + "\n")
 
 
 def _certificate(optimum: LocalOptimum | None) -> dict[str, Any] | None:
@@ -104,11 +104,12 @@ def _certificate(optimum: LocalOptimum | None) -> dict[str, Any] | None:
     return found | {"smooth": optimum.smooth, "certified": optimum.certified}
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """The value as JSON can have it: None for numbers that are not finite."""
     if isinstance(value, dict):
-        return {k: _plain(v) for k, v in value.items()}
+        return {k: plain(v) for k, v in value.items()}
     if isinstance(value, list):
-        return [_plain(v) for v in value]
+        return [plain(v) for v in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
@@ -117,15 +118,20 @@ def write_ssv(result: OptimisationResult, path: Path) -> Path:
 
     Its names serve the simplified model and the coupled system alike ("nacelle_damper.k", ...).
     """
+    return write_design(result.damper, result.parameters, result.variables or design(result.damper).variables, path)
+
+
+def write_design(damper: str, parameters: Mapping[str, float], variables: Sequence[DesignVariable], path: Path) -> Path:
+    """Write values of design variables as an SSP 1.0 parameter set."""
     from pyssp_standard.ssv import SSV
 
-    units = {v.name: v.unit for v in design(result.damper).variables}
+    units = {v.name: v.unit or None for v in variables}
     with SSV(path, mode="w") as parameter_set:
-        parameter_set.ssv_elem.name = f"tuned_{result.damper.replace('-', '_')}"
-        for name, value in result.parameters.items():
+        parameter_set.ssv_elem.name = f"tuned_{damper.replace('-', '_')}"
+        for name, value in parameters.items():
             parameter_set.add_parameter(name, "Real", value=value, unit=units[name])
-        for unit in dict.fromkeys(units.values()):
-            parameter_set.add_unit(unit, BASE_UNITS[unit])
+        for unit, base in {v.unit: dict(v.base) for v in variables if v.unit}.items():
+            parameter_set.add_unit(unit, base)
     return path
 
 

@@ -46,8 +46,12 @@ class Strategy(Protocol):
     def ask(self) -> Array:
         """Candidates to evaluate, shape (n, variables); none if the search has come to its end."""
 
+    def recall(self, x: Array) -> Array:
+        """As `ask`, where a record has `x` for the answer; proposes it again, or makes sure that it may be its own."""
+
     def tell(self, values: Array) -> None:
-        """Values of the candidates, shape (n, objectives); inf where there is none."""
+        """Values of the candidates, shape (n, values); inf where there is none. The objectives come first; what
+        follows are responses that they were made of."""
 
     def population(self) -> tuple[Array, Array]:
         """Variables and values of the present population."""
@@ -61,7 +65,7 @@ class Record:
     """What a search has evaluated.
 
     Attributes:
-        candidates, values: of each generation, shapes (n, variables) and (n, objectives); nan where there is no value.
+        candidates, values: of each generation, shapes (n, variables) and (n, values); nan where there is no value.
         random_state: of the strategy after the last generation.
         library: the strategy's library and its version.
         seconds: spent so far.
@@ -99,8 +103,8 @@ def search(
     """Minimise an objective; the same strategy and seed give the same result, continued or not.
 
     Args:
-        objective: variables, shape (individuals, variables) -> values, shape (individuals,) or (individuals,
-            objectives). An individual that cannot be evaluated gets inf or nan: it never wins.
+        objective: variables, shape (individuals, variables) -> values, shape (individuals,) or (individuals, values),
+            see `Strategy.tell`. An individual that cannot be evaluated gets inf or nan: it never wins.
         evaluations: largest number; no generation that would exceed it is begun.
         generations: largest number, the first one included.
         record: of a search to continue.
@@ -115,10 +119,10 @@ def search(
     history: list[Generation] = []
     while generations is None or len(history) < generations:
         count = history[-1].evaluations if history else 0
-        x = strategy.ask()
+        number = len(history)
+        x = strategy.recall(candidates[number]) if number < len(record.candidates) else strategy.ask()
         if len(x) == 0 or count + len(x) > evaluations:
             break
-        number = len(history)
         if number < len(record.candidates):
             if not np.array_equal(x, candidates[number]):
                 raise ValueError(_another(record, strategy, number + 1))

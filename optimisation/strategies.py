@@ -19,23 +19,30 @@ from optimisation import genetic
 from optimisation.search import Strategy
 
 Array = npt.NDArray[np.float64]
-Method = Literal["ga", "de", "cma-es", "nsga2"]
+Method = Literal["ga", "de", "cma-es", "surrogate", "nsga2"]
 
 # NSGA-II measures crowding by differences, which infinity would spoil; every failure is dominated all the same
 WORST = 1e30
+INITIAL = 4  # designs per variable before the surrogate proposes any
 
 
 def default_population(method: Method, variables: int) -> int:
-    """The paper's 100 for genetic algorithms, 20 per variable for DE, and 4 + 3 ln n (Hansen 2016) for CMA-ES."""
-    return {"ga": 100, "nsga2": 100, "de": 20 * variables, "cma-es": 4 + int(3 * math.log(variables))}[method]
+    """The paper's 100 for genetic algorithms, 20 per variable for DE, 4 + 3 ln n (Hansen 2016) for CMA-ES, and 4, which
+    keep a few cores busy, for the surrogate."""
+    usual = {"ga": 100, "nsga2": 100, "de": 20 * variables, "cma-es": 4 + int(3 * math.log(variables)), "surrogate": 4}
+    return usual[method]
 
 
-def make_strategy(method: Method, lower: Array, upper: Array, *, population: int, seed: int) -> Strategy:
+def make_strategy(
+    method: Method, lower: Array, upper: Array, *, population: int, seed: int, **options: Any
+) -> Strategy:
     """A search algorithm at its start.
 
     Args:
-        method: "ga" (Wang et al. 2022), "de" (Storn and Price 1997), "cma-es" (Hansen 2016), or "nsga2" (Deb et al.
-            2002) for two objectives.
+        method: "ga" (Wang et al. 2022), "de" (Storn and Price 1997), "cma-es" (Hansen 2016), "surrogate" (Jones et al.
+            1998), or "nsga2" (Deb et al. 2002) for two objectives.
+        population: per generation; of the surrogate, designs proposed at once.
+        options: of the surrogate: `limit`, `starts`, `fitness`, `prior`, see `optimisation.surrogate`.
         lower, upper: bounds, shape (variables,).
 
     Raises:
@@ -44,9 +51,15 @@ def make_strategy(method: Method, lower: Array, upper: Array, *, population: int
     lower, upper = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
     if lower.shape != upper.shape or not np.all(np.isfinite(upper - lower)) or not np.all(lower < upper):
         raise ValueError("bounds of the search must be finite, with lower < upper for every variable")
-    least = {"ga": 2, "de": 4, "cma-es": 3, "nsga2": 4}[method]
+    least = {"ga": 2, "de": 4, "cma-es": 3, "surrogate": 1, "nsga2": 4}[method]
     if population < least:
         raise ValueError(f"a search by {method} needs population >= {least}, not {population}")
+    if method == "surrogate":
+        from optimisation.surrogate import Surrogate
+
+        # a cheap model to correct needs few designs to begin with
+        initial = lower.size + 1 if options.get("prior") else INITIAL * lower.size
+        return Surrogate(lower, upper, batch=population, seed=seed, initial=initial, **options)
     if method == "cma-es":
         return CovarianceMatrix(lower, upper, population, seed)
     if method == "ga":
@@ -65,7 +78,7 @@ class Evolution:
         self, algorithm: Any, lower: Array, upper: Array, seed: int, *, bits: int | None = None, objectives: int = 1
     ) -> None:
         self.library = f"pymoo {pymoo.__version__}"
-        self._lower, self._upper, self._bits = lower, upper, bits
+        self._lower, self._upper, self._bits, self._objectives = lower, upper, bits, objectives
         kind = {"vtype": bool} if bits else {}
         problem = Problem(n_var=lower.size * (bits or 1), n_obj=objectives, xl=0, xu=1, **kind)
         self._algorithm = algorithm
@@ -80,9 +93,14 @@ class Evolution:
             return np.empty((0, self._lower.size))
         return self._decoded(self._asked.get("X"))
 
+    def recall(self, x: Array) -> Array:
+        """See `Strategy`: the library's state follows from asking again."""
+        return self.ask()
+
     def tell(self, values: Array) -> None:
         """See `Strategy`."""
-        self._asked.set("F", np.minimum(values, WORST) if values.shape[1] > 1 else values)
+        values = values[:, : self._objectives]
+        self._asked.set("F", np.minimum(values, WORST) if self._objectives > 1 else values)
         for individual in self._asked:
             individual.evaluated.update({"F", "G", "H"})
         self._algorithm.tell(infills=self._asked)
@@ -120,6 +138,10 @@ class CovarianceMatrix:
             self._start(self._random.random(self._lower.size))
         self._asked = self._strategy.ask()
         return self._scaled()
+
+    def recall(self, x: Array) -> Array:
+        """See `Strategy`: the library's state follows from asking again."""
+        return self.ask()
 
     def tell(self, values: Array) -> None:
         """See `Strategy`."""

@@ -83,14 +83,15 @@ def simulation_progress(quiet: bool) -> Progress:
     )
 
 
-def count_progress(quiet: bool) -> Progress:
-    """Progress bars over a number of things."""
+def count_progress(quiet: bool, seconds: float = 30.0) -> Progress:
+    """Progress bars over a number of things; the time left follows from the speed over the last `seconds`."""
     return Progress(
         TextColumn("{task.description}"),
         BarColumn(),
         TextColumn("{task.completed:.0f}/{task.total:.0f}"),
         TextColumn("{task.fields[note]}"),
         TimeRemainingColumn(),
+        speed_estimate_period=seconds,
         console=err,
         disable=quiet,
         transient=True,

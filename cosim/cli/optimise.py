@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_args
@@ -13,16 +11,24 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 import typer
 
 from cosim.cli.build import build_fmus
-from cosim.cli.console import Format, FormatOption, count_progress, emit, err, out, warn
+from cosim.cli.console import Format, FormatOption
+from cosim.cli.optimise_report import (
+    polishing,
+    progress_bar,
+    report,
+    report_front,
+    report_scenarios,
+    resumable,
+    simulation_bar,
+    write_result,
+)
 from cosim.cli.run import _pair, _value, free_path
+from cosim.cli.scenario_options import How, ObjectiveName, ScenarioOptions
 from cosim.errors import CosimError, nearest
 from cosim.recording import new_folder
 from cosim.ssp import read_parameters
 
 if TYPE_CHECKING:
-    from optimisation.pareto import Front
-    from optimisation.result import OptimisationResult
-    from optimisation.search import Generation
     from optimisation.tuning import Request
 
 CPUS = os.cpu_count() or 1
@@ -34,6 +40,7 @@ class SearchMethod(StrEnum):
     GA = "ga"
     DE = "de"
     CMA_ES = "cma-es"
+    SURROGATE = "surrogate"
 
 
 ParameterOption = Annotated[
@@ -45,6 +52,10 @@ SetFileOption = Annotated[
 BoundsOption = Annotated[
     list[str] | None, typer.Option("--bounds", metavar="NAME=LOW:HIGH", help="Other bounds than those of eq. 14.")
 ]
+VariableOption = Annotated[
+    list[str] | None,
+    typer.Option("--variable", metavar="NAME=LOW:HIGH", help="A further design variable: any real parameter."),
+]
 FmuOption = Annotated[Path | None, typer.Option(help="Another FMU with the simplified model's variables.")]
 FolderOption = Annotated[Path | None, typer.Option("--out", help="New folder for the results.")]
 DaskOption = Annotated[
@@ -55,17 +66,43 @@ WorkersOption = Annotated[int, typer.Option(min=1, help="Threads; the result doe
 
 def optimise(
     damper: Annotated[str | None, typer.Argument(help="tmd-n, tmd-p or mtmd; not needed with --resume.")] = None,
+    objective: Annotated[
+        ObjectiveName | None,
+        typer.Option(help="decay: free decay of the simplified model (default); coupled: co-simulations; spectral."),
+    ] = None,
     method: Annotated[
         SearchMethod | None,
-        typer.Option(help="ga: the paper's genetic algorithm (default); de: differential evolution; cma-es."),
+        typer.Option(
+            help="ga: the paper's (default); de: differential evolution; cma-es; surrogate (default if coupled)."
+        ),
     ] = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Seed of the search; 1 by default.")] = None,
-    population: Annotated[int | None, typer.Option(min=2, help="By default the method's own; ga: 100.")] = None,
+    population: Annotated[int | None, typer.Option(min=1, help="By default the method's own; ga: 100.")] = None,
     generations: Annotated[int | None, typer.Option(min=1, help="Largest number; ga: 50.")] = None,
-    evaluations: Annotated[int | None, typer.Option(min=2, help="Largest number of simulations; 5000.")] = None,
+    evaluations: Annotated[
+        int | None, typer.Option(min=2, help="Largest number of designs; 5000, surrogate 60.")
+    ] = None,
     bounds: BoundsOption = None,
+    variable: VariableOption = None,
     set_: ParameterOption = None,
     ssv: SetFileOption = None,
+    cases: Annotated[str | None, typer.Option(help="coupled: load cases, 'lc1,lc3', with weights 'lc1=2,lc3'.")] = None,
+    seeds: Annotated[str | None, typer.Option(help="coupled: seeds of wind and sea, '1,2'; the case's own.")] = None,
+    vary: Annotated[
+        list[str] | None, typer.Option(metavar="COMPONENT.PARAM=V1,V2", help="coupled: scenarios of uncertain values.")
+    ] = None,
+    until: Annotated[float | None, typer.Option(metavar="T", help="coupled: end of each run, s.")] = None,
+    channels: Annotated[str | None, typer.Option(help="Responses to reduce; PtfmPitch,TTDspFA.")] = None,
+    how: Annotated[How | None, typer.Option("--aggregate", help="Over scenarios and channels; worst.")] = None,
+    relative_to: Annotated[
+        str | None, typer.Option(metavar="DESIGN", help="Arrangement or .ssv file to compare with; none.")
+    ] = None,
+    start: Annotated[
+        list[str] | None, typer.Option(metavar="DESIGN", help="surrogate: arrangement or .ssv file to begin with.")
+    ] = None,
+    models: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="Linear models: for spectral, or to guide the surrogate.")
+    ] = None,
     polish: Annotated[bool, typer.Option("--polish", help="Refine the best design and certify it.")] = False,
     pareto: Annotated[bool, typer.Option("--pareto", help="Response against damper stroke, by NSGA-II.")] = False,
     fmu: FmuOption = None,
@@ -84,43 +121,73 @@ def optimise(
     from optimisation.checkpoint import CHECKPOINT
 
     quiet = output is Format.JSON
+    known = damper and known_damper(damper)
     given: dict[str, Any] = {
-        "damper": damper and known_damper(damper),
-        "method": "nsga2" if pareto else method and method.value,
+        "damper": known, "method": "nsga2" if pareto else method and method.value,
         "seed": seed, "population": population, "generations": generations, "evaluations": evaluations,
         "parameters": parameters(set_, ssv) or None, "bounds": parsed_bounds(bounds) or None,
+        "variables": parsed_bounds(variable, "--variable") or None,
     }  # fmt: skip
     if pareto and (method or polish):
         raise CosimError(f"--pareto has its own method: leave out {'--method' if method else '--polish'}")
     if resume and folder:
         raise CosimError("--resume goes on in its own folder: leave out --out")
-    request = _request(given, resume)
-    if dask and request.method == "nsga2":
-        raise CosimError("--dask evaluates the decay's deviation only: leave out --pareto")
-    if polish and request.method == "nsga2":
-        raise CosimError("--polish refines one optimum, not a front: leave it out")
+    options = ScenarioOptions(objective, cases, seeds, vary, until, channels, how, relative_to, start, models)
+    request = _request(given | options.settings(given, resume), resume)
+    if polish and (request.method == "nsga2" or request.objective != "decay"):
+        why = "one optimum, not a front" if request.method == "nsga2" else "the free decay's optimum only"
+        raise CosimError(f"--polish refines {why}: leave it out")
+    if dask and (request.method == "nsga2" or request.objective != "decay"):
+        raise CosimError(f"--dask evaluates the free decay only: leave out --{'pareto' if pareto else 'dask'}")
     request.task()  # refuses bad bounds before anything is built
+    if request.objective != "decay":
+        if pareto or fmu:
+            raise CosimError(f"{'--pareto' if pareto else '--fmu'} is for the free decay: leave it out")
+        _optimise_scenarios(request, models, folder, resume, workers, quiet)
+        return
     file = simplified(fmu, quiet)
     target = resume or new_folder(folder or free_path(Path("runs") / f"optimise-{request.damper}"))
-    options: dict[str, Any] = {"workers": workers, "checkpoint": target / CHECKPOINT, "resume": resume is not None}
-    with _resumable(target):
+    settings: dict[str, Any] = {"workers": workers, "checkpoint": target / CHECKPOINT, "resume": resume is not None}
+    with resumable(target):
         if request.method == "nsga2":
             from optimisation.pareto import pareto as search_front
 
-            with _progress(request, quiet) as progress:
-                front = search_front(request, file, progress=progress, **options)
-            _report_front(front, target, quiet)
+            with progress_bar(request, quiet) as progress:
+                front = search_front(request, file, progress=progress, **settings)
+            report_front(front, target, quiet)
         else:
             from optimisation.tuning import refine, tune
 
-            with _progress(request, quiet) as progress:
-                result = tune(request, file, progress=progress, dask=dask, **options)
-            written = _write(result, target)
+            with progress_bar(request, quiet) as progress:
+                result = tune(request, file, progress=progress, dask=dask, **settings)
+            written = write_result(result, target)
             if polish:
                 with polishing(target, quiet) as follow:
                     result = refine(result, request, file, workers=workers, progress=follow)
-                written = _write(result, target)
-            _report(result, written, target, quiet)
+                written = write_result(result, target)
+            report(result, written, target, quiet)
+
+
+def _optimise_scenarios(
+    request: Request, models: Path | None, folder: Path | None, resume: Path | None, workers: int, quiet: bool
+) -> None:
+    from cosim.cli.scenarios import judge
+    from optimisation.checkpoint import CHECKPOINT, resumed_record
+    from optimisation.coupled import STORE
+    from optimisation.scenario_tuning import checked_starts, tune_scenarios
+
+    judged = judge(request, models, quiet=quiet)
+    checked_starts(request, judged.task)
+    if resume:  # refuse another problem before anything is simulated
+        resumed_record(resume / CHECKPOINT, request.problem(judged.digests))
+    target = resume or new_folder(folder or free_path(Path("runs") / f"optimise-{request.damper}-{request.objective}"))
+    with resumable(target), simulation_bar(request, quiet) as (tick, progress):
+        objective = judged.fitness({"store": target / STORE, "workers": workers, "tick": tick})
+        result = tune_scenarios(
+            request, objective, judged.task, judged.digests, prior=judged.prior, progress=progress,
+            checkpoint=target / CHECKPOINT, resume=resume is not None,
+        )  # fmt: skip
+    report_scenarios(result, target, quiet)
 
 
 def known_damper(name: str) -> str:
@@ -148,16 +215,16 @@ def parameters(items: list[str] | None, files: list[Path] | None = None) -> dict
     return values
 
 
-def parsed_bounds(items: list[str] | None) -> dict[str, tuple[float, float]]:
-    """Bounds from --bounds NAME=LOW:HIGH."""
+def parsed_bounds(items: list[str] | None, option: str = "--bounds") -> dict[str, tuple[float, float]]:
+    """Bounds from NAME=LOW:HIGH."""
     found = {}
-    for name, text in (_pair(i, "--bounds", "NAME=LOW:HIGH") for i in items or []):
+    for name, text in (_pair(i, option, "NAME=LOW:HIGH") for i in items or []):
         try:
             low, high = (float(part) for part in text.split(":"))
         except ValueError as error:
-            raise CosimError(f"--bounds {name}={text}: write it as NAME=LOW:HIGH") from error
+            raise CosimError(f"{option} {name}={text}: write it as NAME=LOW:HIGH") from error
         if not (math.isfinite(low) and math.isfinite(high) and low < high):
-            raise CosimError(f"--bounds {name}={text}: the lower bound comes first, both finite")
+            raise CosimError(f"{option} {name}={text}: the lower bound comes first, both finite")
         found[name] = (low, high)
     return found
 
@@ -183,102 +250,7 @@ def _request(given: dict[str, Any], resume: Path | None) -> Request:
         if "bounds" in asked:
             asked["bounds"] = saved["bounds"] | asked["bounds"]
         refuse_another(resume / CHECKPOINT, saved, saved | asked)
-        asked = {name: value for name, value in saved.items() if name != "fmu"}
-        asked["bounds"] = {name: tuple(limits) for name, limits in asked["bounds"].items()}
-    elif "damper" not in asked:
+        return Request.of_problem(saved).resolved()
+    if "damper" not in asked:
         raise CosimError("name a damper to tune: tmd-n, tmd-p or mtmd")
     return Request(**asked).resolved()
-
-
-@contextmanager
-def _resumable(folder: Path) -> Iterator[None]:
-    """Say how to go on when the user interrupts."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        from optimisation.checkpoint import CHECKPOINT
-
-        if (folder / CHECKPOINT).exists():
-            warn(f"interrupted; continue with: fowt optimise --resume {folder}")
-        else:
-            warn("interrupted before the first generation was complete")
-        raise typer.Exit(130) from None
-    finally:
-        if not any(folder.iterdir()):  # a failed search has nothing to leave
-            folder.rmdir()
-
-
-@contextmanager
-def _progress(request: Request, quiet: bool) -> Iterator[Callable[[Generation], None]]:
-    """A bar over evaluations, with generation, best fitness and time left."""
-    with count_progress(quiet) as bar:
-        label = f"tuning {request.damper} by {request.method}"
-        task = bar.add_task(label, total=request.evaluations, note="")
-
-        def show(g: Generation) -> None:
-            note = f"generation {g.number}, best {g.best:.4f} m"
-            if g.failures:
-                note += f", {g.failures} failed"
-            bar.update(task, completed=g.evaluations, note=note)
-
-        yield show
-
-
-@contextmanager
-def polishing(folder: Path, quiet: bool) -> Iterator[Callable[[int, float], None]]:
-    """Show how a polish gets on; if the user interrupts, say that the search's result is kept."""
-    with nullcontext() if quiet else err.status("polishing") as status:
-
-        def show(count: int, best: float) -> None:
-            if status is not None:
-                status.update(f"polishing: {count} evaluations, best {best:.7f} m")
-
-        try:
-            yield show
-        except KeyboardInterrupt:
-            warn(f"polish interrupted; {folder} has the result of the search, not polished")
-            raise typer.Exit(130) from None
-
-
-def _write(result: OptimisationResult, target: Path) -> list[Path]:
-    from optimisation.result import plot_convergence, write_json, write_ssv
-
-    return [write_ssv(result, target / "tuned.ssv"), plot_convergence(result, target / "convergence.png"),
-            write_json(result, target / "result.json")]  # fmt: skip
-
-
-def _report(result: OptimisationResult, written: list[Path], target: Path, quiet: bool) -> None:
-    if result.failures:
-        warn(f"{result.failures} evaluations failed and were penalised; the first: {result.first_failure}")
-    if quiet:
-        emit({
-            "fitness": result.fitness, "parameters": result.parameters, "evaluations": result.evaluations,
-            "generations": result.generations, "failures": result.failures, "seconds": result.seconds,
-            "certified": result.local_optimum and result.local_optimum.certified, "folder": str(target),
-        })  # fmt: skip
-        return
-    out.print(f"fitness {result.fitness:.4f} m after {result.evaluations} evaluations in {result.seconds:.1f} s")
-    for name, value in result.parameters.items():
-        note = "  (at a bound of the search)" if name in result.at_bound else ""
-        out.print(f"  {name:20s} {value:10.1f} {'N/m' if name.endswith('.k') else 'N s/m'}{note}")
-    if result.local_optimum:
-        out.print(f"{result.local_optimum.verdict}; gained {result.local_optimum.gain:.1e} m", soft_wrap=True)
-    out.print(f"{target}: {', '.join(p.name for p in written)}", soft_wrap=True)
-
-
-def _report_front(front: Front, target: Path, quiet: bool) -> None:
-    from optimisation.pareto import plot_front, write_front
-
-    written = [plot_front(front, target / "pareto.png"), *write_front(front, target)]
-    failures = front.history[-1].failures
-    if failures:
-        warn(f"{failures} evaluations failed and were penalised; the first: {front.first_failure}")
-    if quiet:
-        emit({"designs": front.designs.to_dict("records"), "optima": front.optima.to_dict("records"),
-              "failures": failures, "seconds": front.seconds, "folder": str(target)})  # fmt: skip
-        return
-    out.print(f"{len(front.designs)} designs after {front.history[-1].evaluations} evaluations")
-    response, stroke = front.designs.columns[-2:]
-    for _, row in front.optima.iterrows():
-        out.print(f"  {row[response]:.4f} m of response at {row[stroke]:.2f} m of stroke")
-    out.print(f"{target}: {', '.join(p.name for p in written)}", soft_wrap=True)
