@@ -42,6 +42,7 @@ class Damper:
         parameters: parameter set file, or None; `prefix` goes before its names.
         values: further parameter values.
         system: system of its own instead of the load case's, or None.
+        fmus: names of the FMUs that take the place of the system's, by component; they are in the same folder.
     """
 
     name: str
@@ -52,6 +53,7 @@ class Damper:
     prefix: str = ""
     values: Mapping[str, Number] = field(default_factory=dict)
     system: Path | None = None
+    fmus: Mapping[str, Number] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -166,6 +168,7 @@ def read_dampers(path: Path) -> dict[str, Damper]:
                 prefix=r.take("prefix", str, ""),
                 values=r.values("values"),
                 system=path.parent / own if own else None,
+                fmus=r.values("fmus"),
             )
     optional = tuple(dict.fromkeys(c for d in dampers.values() for c in d.components))
     return {name: replace(d, optional=optional) for name, d in dampers.items()}
@@ -177,6 +180,9 @@ def with_damper(system: System, damper: Damper) -> System:
     for name in damper.components:
         system.component(name)  # a misspelt one must not pass for an arrangement without it
     system = without(system, *(c for c in damper.optional if c in present and c not in damper.components))
+    for name, fmu in damper.fmus.items():
+        own = replace(system.component(name), fmu=system.component(name).fmu.with_name(f"{fmu}.fmu"))
+        system = replace(system, components=tuple(own if c.name == name else c for c in system.components))
     if damper.parameters is not None:
         system = with_parameters(system, qualified(read_parameters(damper.parameters), damper, system))
     return with_parameters(system, damper.values)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -27,9 +28,9 @@ from fmpy.fmi2 import (
 from optimisation.stability import check_parameters
 
 Array = npt.NDArray[np.float64]
-DamperName = Literal["tmd-n", "tmd-p", "mtmd"]
+DamperName = Literal["tmd-n", "tmd-p", "mtmd", "tlcd-p", "tmdi-n"]
 FITNESS = "tower_top_displacement_std"
-BASE_UNITS = {"N/m": {"kg": 1, "s": -2}, "N.s/m": {"kg": 1, "s": -1}}
+BASE_UNITS = {"N/m": {"kg": 1, "s": -2}, "N.s/m": {"kg": 1, "s": -1}, "kg": {"kg": 1}, "1": {}}
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,8 @@ class Design:
         damper: arrangement.
         variables: in the order of a candidate's values.
         switches: which dampers are there.
-        paper_fitness, paper_parameters: of the published optimum (table 4); m, and in the order of `variables`.
+        paper_fitness, paper_parameters: of the published optimum (table 4); m, and in the order of `variables`; nan and
+            none for dampers that the paper and the simplified model do not have.
     """
 
     damper: DamperName
@@ -78,6 +80,17 @@ def design(damper: str) -> Design:
         "tmd-p": (0.3863, (53_565.0, 13_839.0)),
         "mtmd": (0.3735, (7653.0, 4013.0, 52_597.0, 11_911.0)),
     }
+    other = {
+        "tlcd-p": (("platform_damper.ratio", 0.5, 5.0, "1"), ("platform_damper.xi", 0.0, 30.0, "1")),
+        "tmdi-n": (
+            *((f"nacelle_damper.{n}", 0.0, 50_000.0, unit) for n, unit in (("k", "N/m"), ("c", "N.s/m"))),
+            ("nacelle_damper.b", 0.0, 20_000.0, "kg"),
+            *((f"nacelle_damper.{n}", 0.0, 5000.0, unit) for n, unit in (("k_s", "N/m"), ("c_s", "N.s/m"))),
+        ),
+    }  # fmt: skip
+    if damper in other:
+        own = tuple(DesignVariable(n, low, high, unit, BASE_UNITS[unit]) for n, low, high, unit in other[damper])
+        return Design(cast(DamperName, damper), own, {}, math.nan, ())
     if damper not in published:
         raise ValueError(f"unknown damper '{damper}': choose one of {', '.join(get_args(DamperName))}")
     places = {"nacelle_damper": (50_000.0, damper != "tmd-p"), "platform_damper": (200_000.0, damper != "tmd-n")}

@@ -34,17 +34,7 @@ def declare_unit(c: Component, prefix: str, *, mass: float, stiffness: float, da
     c_stop = c.parameter(f"{n}c_stop", 5e5, unit="N.s/m", min=0.0, description="stop damping")
     x_0 = c.parameter(f"{n}initial_displacement", 0.0, unit="m", description="displacement at the start")
 
-    f = c.input(
-        f"{n}attachment.specific_force", 3, unit="m/s2", start=(0.0, 0.0, 9.80665),
-        description="acceleration less gravity of the attachment point, body frame",
-    )  # fmt: skip
-    omega = c.input(
-        f"{n}attachment.angular_velocity", 3, unit="rad/s", description="angular velocity of the body, body frame"
-    )
-    alpha = c.input(
-        f"{n}attachment.angular_acceleration", 3, unit="rad/s2", description="angular acceleration, body frame"
-    )
-
+    f, omega, alpha = declare_attachment(c, n)
     x = c.state(f"{n}displacement", unit="m", start=x_0, description="displacement relative to the attachment")
     v = c.state(f"{n}velocity", unit="m/s", description="velocity relative to the attachment")
 
@@ -64,6 +54,28 @@ def declare_unit(c: Component, prefix: str, *, mass: float, stiffness: float, da
         description="moment on the body about the attachment, body frame",
     )  # fmt: skip
     c.output(f"{n}stop_force", stop, unit="N", nominal=1e4, description="force of the end stop on the damper")
+
+
+def declare_attachment(c: Component, prefix: str) -> tuple[Any, Any, Any]:
+    """Declare a damper's inputs: specific force (m/s2), angular velocity and acceleration (rad/s, rad/s2), body frame.
+
+    Returns:
+        their symbols, three elements each.
+    """
+    return (
+        c.input(
+            f"{prefix}attachment.specific_force", 3, unit="m/s2", start=(0.0, 0.0, 9.80665),
+            description="acceleration less gravity of the attachment point, body frame",
+        ),
+        c.input(
+            f"{prefix}attachment.angular_velocity", 3, unit="rad/s",
+            description="angular velocity of the body, body frame",
+        ),
+        c.input(
+            f"{prefix}attachment.angular_acceleration", 3, unit="rad/s2",
+            description="angular acceleration, body frame",
+        ),
+    )  # fmt: skip
 
 
 def stop_switches(x: Any, v: Any, stroke: Any) -> Any:
