@@ -111,6 +111,7 @@ def select_channels(
         found = {pattern: full[pattern]} if pattern in full else {
             n: kv for n, kv in full.items()
             if fnmatchcase(n, pattern.replace("[", "[[]")) and kv[1].variability in VARYING and kv[1].type != "String"
+            and ("der(" in pattern or not kv[1].name.startswith("der("))  # which are for solvers
         }  # fmt: skip
         if not found or next(iter(found.values()))[1].type == "String":
             raise CosimError(f"record '{pattern}': matches no variable that can be recorded{nearest(pattern, full)}")

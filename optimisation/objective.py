@@ -29,6 +29,7 @@ from optimisation.stability import check_parameters
 
 Array = npt.NDArray[np.float64]
 DamperName = Literal["tmd-n", "tmd-p", "mtmd", "tlcd-p", "tmdi-n"]
+PUBLISHED: tuple[DamperName, ...] = ("tmd-n", "tmd-p", "mtmd")  # the paper's, which the simplified model has
 FITNESS = "tower_top_displacement_std"
 BASE_UNITS = {"N/m": {"kg": 1, "s": -2}, "N.s/m": {"kg": 1, "s": -1}, "kg": {"kg": 1}, "1": {}}
 

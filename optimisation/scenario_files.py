@@ -12,6 +12,7 @@ import numpy as np
 from optimisation.checkpoint import write_atomically
 from optimisation.result import plain
 from optimisation.scenario_tuning import ScenarioResult
+from optimisation.scenarios import WORDS
 
 
 def content(result: ScenarioResult) -> dict[str, Any]:
@@ -85,7 +86,7 @@ def plot_search(result: ScenarioResult, path: Path) -> Path:
     for colour, start in zip(("tab:orange", "tab:green", "tab:purple", "tab:pink"), result.starts, strict=False):
         left.axhline(start.fitness, color=colour, linestyle="--", label=f"{start.label}: {start.fitness:.4f}")
     left.set_xlabel("designs evaluated")
-    how = {"worst": "largest", "mean": "mean"}[result.how]
+    how = WORDS[result.how]
     left.set_ylabel(f"{how} ratio of standard deviations\nto those with '{result.relative_to}'")
     left.set_title(f"{result.damper.upper()}, {result.objective}: best {result.fitness:.4f} ({result.method})")
     left.grid(alpha=0.3)

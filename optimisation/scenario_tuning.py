@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from optimisation.checkpoint import write_checkpoint
 from optimisation.objective import DamperName, Design
-from optimisation.scenarios import ScenarioFitness
+from optimisation.scenarios import How, ScenarioFitness
 from optimisation.search import Generation, Record
 from optimisation.strategies import Method, make_strategy
 from optimisation.tuning import Objective, OptimisationError, Request, bounds_of, continued_search
@@ -82,7 +82,7 @@ class ScenarioResult:
     deviations: Array
     reference: Array
     relative_to: str
-    how: str
+    how: How
     starts: tuple[Start, ...]
     designs: Array
     values: Array

@@ -10,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
-How = Literal["worst", "mean"]
+How = Literal["worst", "mean", "worst-case"]
+WORDS: dict[How, str] = {"worst": "largest", "mean": "mean", "worst-case": "largest case's mean"}
 
 
 @dataclass(frozen=True)
@@ -22,12 +23,14 @@ class Scenario:
         seed: of its wind and sea; None if it has neither.
         overrides: values of the system's parameters by name, where they differ (an uncertain inertia, say).
         weight: in the mean over the scenarios; 0: the scenario is evaluated and not judged.
+        group: load case that it is one realisation of, if that is not `case`.
     """
 
     case: str
     seed: int | None = None
     overrides: Mapping[str, float] = field(default_factory=dict)
     weight: float = 1.0
+    group: str = ""
 
     @property
     def label(self) -> str:
@@ -49,8 +52,13 @@ class Responses(Protocol):
         """Standard deviations, shape (n, scenarios, channels), of designs of shape (n, variables); nan: none."""
 
 
-def aggregate(deviations: Array, reference: Array, weights: Array, how: How) -> Array:
+def aggregate(
+    deviations: Array, reference: Array, weights: Array, how: How, cases: Sequence[str] | None = None
+) -> Array:
     """One fitness of each design: its standard deviations by the reference's, averaged or the worst of them.
+
+    "worst-case" averages over the realisations (seeds, uncertain parameters) of a load case, and takes the worst of
+    load cases and channels: one seed's standard deviation is a draw, the mean of several an estimate.
 
     By "worst" and with the published design as the reference, a fitness below 1 is better in every one of them.
 
@@ -59,6 +67,7 @@ def aggregate(deviations: Array, reference: Array, weights: Array, how: How) -> 
         reference: of the design that it is compared with, shape (scenarios, channels).
         weights: of the mean, at least 0, shape (scenarios, channels) or one that broadcasts to it; "worst" leaves out
             what has no weight, and treats the rest alike.
+        cases: the scenarios' load cases, for "worst-case"; each its own by default.
 
     Returns:
         shape (n,); nan for a design that lacks any of its deviations.
@@ -74,6 +83,12 @@ def aggregate(deviations: Array, reference: Array, weights: Array, how: How) -> 
     ratios = deviations / reference
     if how == "mean":
         return np.asarray((ratios * weights).sum(axis=(1, 2)) / weights.sum())
+    if how == "worst-case":
+        names = list(cases or map(str, range(len(reference))))
+        member = np.array([[name == case for name in names] for case in dict.fromkeys(names)], dtype=float)
+        total = member @ weights
+        means = np.einsum("gs,nsc->ngc", member, ratios * weights) / np.where(total > 0.0, total, 1.0)
+        return np.asarray(np.where(np.isnan(means) | (total > 0.0), means, -np.inf).max(axis=(1, 2)))
     return np.asarray(np.where(np.isnan(ratios) | (weights > 0.0), ratios, -np.inf).max(axis=(1, 2)))
 
 
@@ -101,7 +116,8 @@ class ScenarioFitness:
                 f"{self.scenarios[s].label}: the reference's standard deviation of {self.channels[c]} is"
                 f" {self.reference[s, c]:g}: leave out that channel (--channels), or compare with another design"
             )
-        aggregate(self.reference[None], self.reference, self.weights, how)
+        self.cases = [s.group or s.case for s in self.scenarios]
+        aggregate(self.reference[None], self.reference, self.weights, how, self.cases)
 
     @property
     def first_failure(self) -> str | None:
@@ -120,4 +136,4 @@ class ScenarioFitness:
 
     def fitness(self, flat: Array) -> Array:
         """Fitness, shape (n,), from responses of shape (n, scenarios * channels)."""
-        return aggregate(flat.reshape(-1, *self.reference.shape), self.reference, self.weights, self.how)
+        return aggregate(flat.reshape(-1, *self.reference.shape), self.reference, self.weights, self.how, self.cases)

@@ -151,6 +151,7 @@ class FakeModel:
 
     def __init__(self, label: str) -> None:
         self.label = label
+        self.about = {"case": label.split("-")[0]}
 
     @classmethod
     def load(cls, path: Path) -> FakeModel:

@@ -109,7 +109,7 @@ def test_aggregates() -> None:
     rng = np.random.default_rng(0)
     reference, weights = rng.uniform(1.0, 2.0, (3, 2)), np.array([[1.0], [2.0], [0.0]])
     designs = reference * rng.uniform(0.5, 1.5, (5, 3, 2))
-    for how in ("mean", "worst"):
+    for how in ("mean", "worst", "worst-case"):
         assert aggregate(reference[None], reference, weights, how) == pytest.approx([1.0])
         # homogeneous in the design and in the reference, whatever the channels' units
         units = np.array([1.0, 1e6])
@@ -119,8 +119,12 @@ def test_aggregates() -> None:
     assert aggregate(designs, reference, weights, "worst") == pytest.approx(ratios[:, :2].max(axis=(1, 2)))
     expected = (ratios[:, 0].mean(axis=1) + 2.0 * ratios[:, 1].mean(axis=1)) / 3.0
     assert aggregate(designs, reference, weights, "mean") == pytest.approx(expected)
+    alone = np.ones_like(weights)  # each a load case of its own, and all of one: the worst, and the channels' means
+    assert aggregate(designs, reference, alone, "worst-case") == pytest.approx(ratios.max(axis=(1, 2)))
+    one = aggregate(designs, reference, alone, "worst-case", ["lc1"] * len(reference))
+    assert one == pytest.approx(ratios.mean(axis=1).max(axis=1))
     designs[2, 2, 0] = np.nan  # even where it has no weight: that run broke off
-    for how in ("mean", "worst"):
+    for how in ("mean", "worst", "worst-case"):
         assert np.isnan(aggregate(designs, reference, weights, how)).tolist() == [False, False, True, False, False]
     with pytest.raises(ValueError, match="not above 0"):
         aggregate(designs, 0.0 * reference, weights, "worst")

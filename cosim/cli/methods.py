@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, cast, get_args
+from typing import TYPE_CHECKING, Annotated, cast
 
 import typer
 from rich.table import Table
@@ -17,7 +17,7 @@ from cosim.cli.optimise import (
     SearchMethod,
     SetFileOption,
     WorkersOption,
-    known_damper,
+    decay_damper,
     parameters,
     simplified,
 )
@@ -61,7 +61,7 @@ def methods(
         raise CosimError("--methods names no search method")
     first, last = seed_range(seeds)
     values = parameters(set_, ssv)
-    arrangements = dict.fromkeys(cast("DamperName", known_damper(d)) for d in dampers or all_dampers())
+    arrangements = dict.fromkeys(cast("DamperName", decay_damper(d)) for d in dampers or all_dampers())
     requests = [
         Request(d, method=SearchMethod(m).value, seed=s, evaluations=evaluations, parameters=values).resolved()
         for d in arrangements for m in dict.fromkeys(chosen) for s in range(first, last + 1)
@@ -91,10 +91,10 @@ def methods(
 
 
 def all_dampers() -> tuple[DamperName, ...]:
-    """The arrangements that can be tuned."""
-    from optimisation.objective import DamperName
+    """The arrangements of the simplified model."""
+    from optimisation.objective import PUBLISHED
 
-    return get_args(DamperName)
+    return PUBLISHED
 
 
 def seed_range(text: str) -> tuple[int, int]:

@@ -93,7 +93,9 @@ def optimise(
     ] = None,
     until: Annotated[float | None, typer.Option(metavar="T", help="coupled: end of each run, s.")] = None,
     channels: Annotated[str | None, typer.Option(help="Responses to reduce; PtfmPitch,TTDspFA.")] = None,
-    how: Annotated[How | None, typer.Option("--aggregate", help="Over scenarios and channels; worst.")] = None,
+    how: Annotated[
+        How | None, typer.Option("--aggregate", help="worst (default), mean, or worst-case: see docs.")
+    ] = None,
     relative_to: Annotated[
         str | None, typer.Option(metavar="DESIGN", help="Arrangement or .ssv file to compare with; none.")
     ] = None,
@@ -139,6 +141,8 @@ def optimise(
         raise CosimError(f"--polish refines {why}: leave it out")
     if dask and (request.method == "nsga2" or request.objective != "decay"):
         raise CosimError(f"--dask evaluates the free decay only: leave out --{'pareto' if pareto else 'dask'}")
+    if request.objective == "decay":
+        decay_damper(request.damper)
     request.task()  # refuses bad bounds before anything is built
     if request.objective != "decay":
         if pareto or fmu:
@@ -196,6 +200,17 @@ def known_damper(name: str) -> str:
 
     if name not in get_args(DamperName):
         raise CosimError(f"nothing to tune for '{name}'{nearest(name, get_args(DamperName))}")
+    return name
+
+
+def decay_damper(name: str) -> str:
+    """The name, if it is one of an arrangement that the simplified model has."""
+    from optimisation.objective import PUBLISHED
+
+    if known_damper(name) not in PUBLISHED:
+        raise CosimError(
+            f"{name}: the simplified model has mass dampers only; tune it with --objective coupled --cases lc4"
+        )
     return name
 
 

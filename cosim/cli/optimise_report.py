@@ -124,6 +124,7 @@ def report_scenarios(result: ScenarioResult, target: Path, quiet: bool) -> None:
     """Write and show the result of a search over scenarios."""
     from optimisation.result import write_design
     from optimisation.scenario_files import content, plot_search, write_json
+    from optimisation.scenarios import WORDS
 
     variables = result.task.variables
     written = [write_design(result.damper, result.parameters, variables, target / "tuned.ssv"),
@@ -133,7 +134,7 @@ def report_scenarios(result: ScenarioResult, target: Path, quiet: bool) -> None:
     if quiet:
         emit(content(result) | {"folder": str(target)})
         return
-    what = {"worst": "largest", "mean": "mean"}[result.how] + f" ratio of standard deviations to '{result.relative_to}'"
+    what = WORDS[result.how] + f" ratio of standard deviations to '{result.relative_to}'"
     count, seconds = result.evaluations, result.seconds
     out.print(f"fitness {result.fitness:.4f} ({what}) after {count} designs in {seconds:.0f} s", soft_wrap=True)
     _show_parameters(result.parameters, {v.name: v.unit for v in variables}, result.at_bound)

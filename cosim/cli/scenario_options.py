@@ -36,6 +36,7 @@ class How(StrEnum):
 
     WORST = "worst"
     MEAN = "mean"
+    WORST_CASE = "worst-case"
 
 
 @dataclass(frozen=True)
@@ -93,7 +94,9 @@ class ScenarioOptions:
         from cosim.cli.scenarios import linear_models
         from optimisation.scenarios import Scenario
 
-        found["scenarios"] = tuple(Scenario(m.label) for m in linear_models(self.models).values())
+        found["scenarios"] = tuple(
+            Scenario(m.label, group=str(m.about.get("case", ""))) for m in linear_models(self.models).values()
+        )
         if self.relative_to not in (None, damper) and found.get("reference") is None:
             raise CosimError(
                 f"--relative-to {self.relative_to}: linear models have dampers: compare with {damper} or a .ssv file"

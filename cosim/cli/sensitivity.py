@@ -17,7 +17,7 @@ from cosim.cli.optimise import (
     ParameterOption,
     SetFileOption,
     WorkersOption,
-    known_damper,
+    decay_damper,
     parameters,
     parsed_bounds,
     simplified,
@@ -51,7 +51,7 @@ def fitness_map(
     from optimisation.sensitivity import plot_map, write_csv
 
     quiet = output is Format.JSON
-    place = "nacelle_damper" if known_damper(damper) == "tmd-n" else "platform_damper"
+    place = "nacelle_damper" if decay_damper(damper) == "tmd-n" else "platform_damper"
     held = _result_parameters(at) if at else {}
     limits, values, file = parsed_bounds(bounds), parameters(set_, ssv), simplified(fmu, quiet)
     with count_progress(quiet) as bar:
