@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from cosim.cli.campaign import Options
 from cosim.cli.identify import Identified
 from cosim.cli.paper_figures import fourier_amplitude
 from optimisation.identification import UNKNOWNS, Identification, assess_fit
@@ -49,6 +50,20 @@ def test_section_5_gives_the_papers_fitness_and_ours(
         assert f"]({figure})" in summary
         assert (tmp_path / "paper" / figure).stat().st_size > 20_000
     assert "| mtmd | paper | 0.3735 | 7653 | 4013 | 52597 | 11911 | 6 |" in ran.out
+
+
+def test_section_6_runs_the_load_cases(
+    fowt: Callable[..., Outcome], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On two arrangements, two seeds and the first seconds of two cases."""
+    few = Options(cases=("lc1", "lc4"), dampers=("none", "mtmd"), seeds=(2, 3), until=3.0)
+    monkeypatch.setattr("cosim.cli.reproduce.LOAD_CASES", few)
+    ran = fowt("reproduce", "--section", "6", "--out", "paper")
+    assert ran.code == 0, ran.err
+    summary = (tmp_path / "paper/summary.md").read_text()
+    assert "| suppression | lc4 | mtmd | GenPwr | % | at least 24.14 |" in summary
+    assert (tmp_path / "paper/report.html").stat().st_size > 1e6
+    assert len(list((tmp_path / "paper/load-cases").glob("*.png"))) > 5
 
 
 def test_section_4_draws_the_records_and_both_sets(

@@ -95,6 +95,17 @@ def campaign(
         )  # fmt: skip
     if not (root / PLAN).exists() and foreign(root, OWN):
         raise CosimError(f"{root}: is no campaign's folder, it holds '{foreign(root, OWN)[0]}'; choose another")
+    _finish(root, carried_out(root, options, workers=workers, dask=dask, quiet=quiet), quiet)
+
+
+def carried_out(
+    root: Path, options: Options, *, workers: int, dask: str | None = None, quiet: bool = False
+) -> dict[str, Outcome]:
+    """Run what is not finished of a campaign; returns how each of its runs ended, by label.
+
+    Raises:
+        CosimError: a name or file of the options is unknown, or the folder has another campaign.
+    """
     read = _read_cases(options)
     for path in options.ssv:
         if not Path(path).is_file():
@@ -103,8 +114,7 @@ def campaign(
     try:
         tasks = _tasks(options, read, workers, quiet)
         with locked(root):
-            outcomes = _run(root.absolute(), options, read, tasks, workers, dask, quiet)
-            _finish(root, outcomes, quiet)
+            return _run(root.absolute(), options, read, tasks, workers, dask, quiet)
     except KeyboardInterrupt:
         begun = (root / PLAN).exists()
         way = f"go on with: fowt campaign --resume {root}" if begun else "the same command begins again"
