@@ -35,6 +35,7 @@ def main() -> None:
     """Arguments: folder of the unpacked FMU, step in s, file to report to (one JSON object a line)."""
     with Path(sys.argv[3]).open("a", encoding="utf-8") as report:
         trials(Path(sys.argv[1]), float(sys.argv[2]), report)
+        print(json.dumps({"end": True}), file=report, flush=True)
 
 
 def trials(folder: Path, step: float, report: TextIO) -> None:
@@ -114,12 +115,16 @@ class _Fmu:
         return found if self.second else list(dict.fromkeys(found))
 
     def initialise(self, slave: Any) -> None:
+        self.enter(slave)
+        slave.exitInitializationMode()
+
+    def enter(self, slave: Any) -> None:
+        """Begin the initialization mode, before which FMI lets no value be read."""
         if self.second:
             slave.setupExperiment(startTime=0.0)
             slave.enterInitializationMode()
         else:
             slave.enterInitializationMode(startTime=0.0)
-        slave.exitInitializationMode()
 
     def advance(self, slave: Any, n: int) -> None:
         slave.doStep(currentCommunicationPoint=n * self.step, communicationStepSize=self.step)
@@ -142,6 +147,7 @@ class _Fmu:
         if not self.md.coSimulation.canBeInstantiatedOnlyOncePerProcess:
             self.kept = self.make()  # keeps the library loaded, and what is global in it alive
         slave = self.make()
+        self.enter(slave)
         found = self.get(slave, self.set_at_start)
         slave.freeInstance()
         for v, value in zip(self.set_at_start, found, strict=True):
@@ -153,6 +159,7 @@ class _Fmu:
         """A value set before initialisation is read back."""
         slave, wanted = self.make(), [_other(v) for v in self.set_at_start]
         self.put(slave, self.set_at_start, wanted)
+        self.enter(slave)
         found = self.get(slave, self.set_at_start)
         slave.freeInstance()
         for v, want, value in zip(self.set_at_start, wanted, found, strict=True):

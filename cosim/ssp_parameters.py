@@ -98,7 +98,8 @@ def bindings(element: Any, origin: Origin) -> Iterator[tuple[dict[str, StartValu
                 f"{origin.file}: sourceBase='component' is not supported; put the parameter set beside the .ssd"
             )
         place, found = _content(binding, origin, "ParameterValues", "ParameterSet", "a ParameterBinding")
-        values = _parameter_set(found, place)
+        prefix = binding.get("prefix", "")  # comes before the mapping (SSP 1.0, ParameterBinding)
+        values = {prefix + name: value for name, value in _parameter_set(found, place).items()}
         left: tuple[str, ...] = ()
         mapping = binding.find("{*}ParameterMapping")
         if mapping is not None:
@@ -108,7 +109,7 @@ def bindings(element: Any, origin: Origin) -> Iterator[tuple[dict[str, StartValu
                 )
             place, found = _content(mapping, origin, "", "ParameterMapping", "a ParameterMapping")
             values, left = _mapped(values, _mapping(found, place), place)
-        yield {binding.get("prefix", "") + name: value for name, value in values.items()}, left
+        yield values, left
 
 
 def _content(element: Any, origin: Origin, wrapper: str, tag: str, what: str) -> tuple[Origin, Any]:

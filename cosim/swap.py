@@ -51,7 +51,11 @@ def with_swapped(system: System, name: str, fmu: Path, rules: Sequence[NameRule]
         if not ((c.source == name and c.output in dropped) or (c.target == name and c.input in dropped))
     )  # fmt: skip
     lost_feeds = {(c.target, c.input) for c in system.connections if c.source == name and c.output in dropped}
-    kept = {n: _with_unit(v, before, n) for n, v in old.start.items() if n in mapped or n in new.variables}
+    kept = {
+        n: _with_unit(v, before, n)
+        for n, v in old.start.items()
+        if n not in dropped and (n in mapped or n in new.variables)
+    }
     lost = sorted(set(old.start) - set(kept) - dropped)
     notes = [f"{name}: {fmu.name} has no {', '.join(lost)}: left out of its start values"] if lost else []
     if lost_feeds:

@@ -145,7 +145,9 @@ def _trials(path: Path, step: float, timeout: float) -> list[Finding]:
             except subprocess.TimeoutExpired:
                 end = f"did not answer within {timeout:g} s"
         lines = [json.loads(line) for line in report.read_text(encoding="utf-8").splitlines()]
-        findings = [Finding(**line) for line in lines if "begin" not in line]
+        if not end and not (lines and "end" in lines[-1]):
+            end = "ended in the middle of a trial (exit code 0)"
+        findings = [Finding(**line) for line in lines if "begin" not in line and "end" not in line]
         if end:
             during = lines[-1]["begin"] if lines and "begin" in lines[-1] else "start-up"
             findings.append(Finding(during, "fail", f"the process of the FMU {end}{_last_line(log)}"))

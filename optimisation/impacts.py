@@ -122,8 +122,9 @@ def _impulse_responses(
     speed = scipy.fft.irfft(added * p, count, axis=-1)[..., :memory] * growing
     for d in range(number):
         decay, square = damping[d] / (2.0 * mass[d]), stiffness[d] / mass[d]
-        swing = np.sqrt(complex(square - decay**2)) or 1e-9 + 0j  # imaginary if overdamped
-        sine = np.exp(-decay * time) * (np.sin(swing * time) / swing).real / mass[d]
-        position[d, d] += sine
-        speed[d, d] += np.exp(-decay * time) * np.cos(swing * time).real / mass[d] - decay * sine
+        root = np.sqrt(complex(decay**2 - square)) or 1e-9j  # imaginary if it swings
+        slow = -square / (decay + root) if root.real > 0.0 else root - decay  # no difference of near equals
+        both = np.exp(slow * time), np.exp(-(decay + root) * time)
+        position[d, d] += ((both[0] - both[1]) / (2.0 * root)).real / mass[d]
+        speed[d, d] += ((slow * both[0] + (decay + root) * both[1]) / (2.0 * root)).real / mass[d]
     return position, speed

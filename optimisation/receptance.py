@@ -109,9 +109,11 @@ class LinearModel:
         words = {name: getattr(self, name) for name in _WORDS} | {
             "dampers": [vars(d) for d in self.dampers], "about": dict(self.about)
         }  # fmt: skip
-        with path.open("wb") as stream:
+        partial = path.with_name(path.name + ".partial")
+        with partial.open("wb") as stream:
             arrays = {name: getattr(self, name) for name in _ARRAYS}
             np.savez_compressed(stream, words=np.array(json.dumps(words)), **arrays)
+        partial.replace(path)
         return path
 
     @classmethod
@@ -128,7 +130,7 @@ class LinearModel:
             words |= {n: tuple(words[n]) for n in ("channels", "units")}
             words["dampers"] = tuple(Damper(**d) for d in words["dampers"])
             return cls(**words, **arrays)
-        except (OSError, KeyError, TypeError, ValueError, zipfile.BadZipFile) as error:
+        except (OSError, EOFError, KeyError, TypeError, ValueError, zipfile.BadZipFile) as error:
             reason = " ".join(str(error).split())
             raise ValueError(f"{path}: no linear model ({reason}); write one with 'fowt linearise'") from error
 

@@ -188,6 +188,8 @@ class Surrogate:
             sobol = qmc.Sobol(self._lower.size, scramble=True, seed=rng).random_base2(int(np.ceil(np.log2(number))))
             return self.recall(np.vstack([self._starts, self._decoded(sobol[:number])]))
         count = int(min(self._batch, self._limit - len(self._x)))
+        if count == 0:
+            return np.empty((0, self._lower.size))
         if not np.isfinite(self._values[:, 0]).any():
             return self.recall(self._decoded(rng.random((count, self._lower.size))))
         with threadpool_limits(1):  # for matrices as small as these threads only wait for each other

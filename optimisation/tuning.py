@@ -98,6 +98,8 @@ class Request:
             return replace(self, population=population, evaluations=evaluations or usual)
         if evaluations is None:
             evaluations = BUDGET if generations is None else population * generations
+        if evaluations < population:
+            raise ValueError(f"{evaluations} evaluations do not suffice for one generation of {population}: allow more")
         if generations is None and self.method != "cma-es":  # whose population grows
             generations = evaluations // population
         return replace(self, population=population, evaluations=evaluations, generations=generations)

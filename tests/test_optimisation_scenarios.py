@@ -100,7 +100,7 @@ def test_a_load_case_in_wind_and_waves(fowt: Callable[..., Outcome]) -> None:
         ((), "name load cases, such as --cases lc1,lc4"),
         (("--cases", "lc1", "--seeds", "x"), "--seeds x: write them as 1,2,3 or 1:3"),
         (("--cases", "decay5", "--seeds", "1"), "decay5 has no random wind or sea"),
-        (("--cases", "lc1=-1", "--until", "1"), "weights of scenarios must be at least 0"),
+        (("--cases", "lc1=-1", "--until", "1"), "a weight is at least 0"),
         (("--cases", "lc1", "--channels", "PtfmPich"), "lc1: no channel 'PtfmPich'; did you mean 'PtfmPitch'?"),
         (("--cases", "decay5", "--until", "1", "--channels", "PtfmPitch,NStC1_XQ"), "not there with damper 'none'"),
         (("--cases", "lc1", "--until", "-1"), "stop -1 s must be finite"),
@@ -162,9 +162,13 @@ class FakeResponse:
     def __init__(self, models: list[FakeModel], variables: list[str], fixed: dict[str, float]) -> None:
         assert fixed.keys().isdisjoint(variables)
         self.channels, self._models, self._variables = FakeModel.channels, models, list(variables)
+        self._fixed = fixed
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
-        k, c = (x[:, self._variables.index(f"platform_damper.{n}")] for n in "kc")
+        names = [f"platform_damper.{n}" for n in "kc"]
+        k, c = (
+            x[:, self._variables.index(n)] if n in self._variables else np.full(len(x), self._fixed[n]) for n in names
+        )
         distance = (k / 5e4 - 1.0) ** 2 + (c / 1e4 - 1.0) ** 2
         return np.stack(
             [np.stack([1.0 + (i + 1) * distance, 0.5 + distance], axis=1) for i in range(len(self._models))], 1

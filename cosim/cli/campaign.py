@@ -16,7 +16,7 @@ import typer
 
 from cosim.campaign.pool import run_here, run_on_dask
 from cosim.campaign.store import Outcome, Task, Work, finished_rows, foreign, locked
-from cosim.case import Damper, LoadCase, read_case
+from cosim.case import Damper, LoadCase, read_case, shipped_cases
 from cosim.cli.build import build_fmus
 from cosim.cli.campaign_view import Progress, evaluate_all, show
 from cosim.cli.console import Format, FormatOption, count_progress, emit, failure, note, warn
@@ -90,7 +90,7 @@ def campaign(
     else:
         root = folder or free_path(Path("runs") / "campaign")
         options = Options(
-            tuple(dict.fromkeys(cases or CASES)), _names(dampers, "--dampers"), _seeds(seeds),
+            tuple(dict.fromkeys(map(_from_anywhere, cases or CASES))), _names(dampers, "--dampers"), _seeds(seeds),
             tuple(str(p.absolute()) for p in ssv or ()), tuple(set_ or ()), until,
         )  # fmt: skip
     if not (root / PLAN).exists() and foreign(root, OWN):
@@ -363,6 +363,11 @@ def _refuse_another(root: Path, options: Options) -> None:
 
 def _ssv_digests(options: Options) -> list[str]:
     return [hashlib.sha256(Path(p).read_bytes()).hexdigest() for p in options.ssv]
+
+
+def _from_anywhere(case: str) -> str:
+    """A case's name, or its file's full path, so that the campaign can go on from another folder."""
+    return str(Path(case).absolute()) if case not in shipped_cases() and Path(case).is_file() else case
 
 
 def _names(text: str, option: str) -> tuple[str, ...]:

@@ -176,15 +176,18 @@ def _optimise_scenarios(
     request: Request, models: Path | None, folder: Path | None, resume: Path | None, workers: int, quiet: bool
 ) -> None:
     from cosim.cli.scenarios import judge
-    from optimisation.checkpoint import CHECKPOINT, resumed_record
+    from optimisation.checkpoint import CHECKPOINT, resumed_record, write_checkpoint
     from optimisation.coupled import STORE
     from optimisation.scenario_tuning import checked_starts, tune_scenarios
+    from optimisation.search import Record
 
     judged = judge(request, models, quiet=quiet)
     checked_starts(request, judged.task)
     if resume:  # refuse another problem before anything is simulated
         resumed_record(resume / CHECKPOINT, request.problem(judged.digests))
     target = resume or new_folder(folder or free_path(Path("runs") / f"optimise-{request.damper}-{request.objective}"))
+    if not resume:  # so that what the reference costs is not lost either
+        write_checkpoint(target / CHECKPOINT, request.problem(judged.digests), Record())
     with resumable(target), simulation_bar(request, quiet) as (tick, progress):
         objective = judged.fitness({"store": target / STORE, "workers": workers, "tick": tick})
         result = tune_scenarios(

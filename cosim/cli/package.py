@@ -89,7 +89,7 @@ def prepare_package(ssp: Path, damper: str | None, changes: Changes, folder: Pat
     """
     given = {**vars(changes), "damper": damper}
     for name in OF_CASES:
-        if given[name]:
+        if given[name] not in (None, False, (), []):
             raise CosimError(f"--{name} is for load cases; {ssp.name} is a package with its own components")
     if not ssp.is_file():
         raise CosimError(f"{ssp}: no such file")

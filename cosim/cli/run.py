@@ -13,6 +13,7 @@ from typing import Annotated, Any
 
 import typer
 from rich.table import Table
+from rich.text import Text
 
 from cosim.case import LoadCase, Number, qualified, read_case, with_damper
 from cosim.cli.build import build_fmus
@@ -339,11 +340,11 @@ def _show(result: RunResult) -> None:
     for column in ("mean", "std", "min", "max"):
         table.add_column(column, justify="right")
     for name, s in result.summary.items():
-        table.add_row(name, s["unit"], *(number(s[k]) for k in ("mean", "std", "min", "max")))
+        table.add_row(Text(name), Text(s["unit"]), *(number(s[k]) for k in ("mean", "std", "min", "max")))
     out.print(table)
     if result.ports:
-        out.print(_ports_line(result), soft_wrap=True)
-    out.print(f"{result.status}: {result.folder} ({result.wall_time:.1f} s of wall time)")
+        out.print(_ports_line(result), soft_wrap=True, markup=False)
+    out.print(f"{result.status}: {result.folder} ({result.wall_time:.1f} s of wall time)", markup=False)
 
 
 def _ports_line(result: RunResult) -> str:

@@ -71,6 +71,8 @@ class ScenarioOptions:
             "channels": self.channels
             and tuple(dict.fromkeys(c.strip() for c in self.channels.split(",") if c.strip())),
         }
+        if resume is not None and (self.start or ((self.seeds or self.vary) and not self.cases)):
+            raise CosimError("--resume goes on with its scenarios and starts: leave out --seeds, --vary and --start")
         if self.cases:
             found["scenarios"] = parsed_scenarios(self.cases, self.seeds, self.vary or ())
         if self.relative_to:
@@ -149,6 +151,14 @@ def parsed_scenarios(cases: str, seeds: str | None, vary: Sequence[str]) -> tupl
             scenarios.append(Scenario(name, seed, dict(values), _number(item, weight) if weight else 1.0))
     if not scenarios:
         raise CosimError("--cases names no load case; 'fowt list' shows all")
+    labels = [s.label for s in scenarios]
+    for scenario in scenarios:
+        if labels.count(scenario.label) > 1:
+            raise CosimError(f"--cases, --vary: '{scenario.label}' appears twice (values are told apart by six digits)")
+        if scenario.weight < 0.0:
+            raise CosimError(f"--cases {scenario.case}={scenario.weight:g}: a weight is at least 0")
+    if not any(s.weight > 0.0 for s in scenarios):
+        raise CosimError("--cases: one weight at least must be above 0")
     return tuple(scenarios)
 
 

@@ -102,9 +102,8 @@ def _judge_spectral(request: Request, folder: Path | None) -> Judged:
     names = [v.name for v in request.task().variables]
     responses = SpectralResponses(request, list(models.values()), names)
     values = design_values(request.damper, "--relative-to") if request.reference is None else request.reference
-    own = [n for n in values if n.endswith((".k", ".c", ".stroke"))]
-    at = np.array([[values[n] for n in own]])
-    reference = SpectralResponses(request, list(models.values()), own)(at)[0]
+    # with the search's own --set, as co-simulations have it, and the reference's values on top
+    reference = SpectralResponses(request, list(models.values()), (), values)(np.zeros((1, 0)))[0]
 
     def fitness(options: Mapping[str, Any]) -> ScenarioFitness:
         return ScenarioFitness(responses, reference, request.scenarios, request.channels, request.aggregate)
@@ -144,14 +143,26 @@ class SpectralResponses:
         ValueError: the models cannot have a variable.
     """
 
-    def __init__(self, request: Request, models: Sequence[LinearModel], names: Sequence[str]) -> None:
+    def __init__(
+        self,
+        request: Request,
+        models: Sequence[LinearModel],
+        names: Sequence[str],
+        design: Mapping[str, float] | None = None,
+    ) -> None:
         from optimisation.spectral import SpectralResponse
 
         wanted = sorted(name.removesuffix(".active") for name, on in request.task().switches.items() if on)
         theirs = sorted(d.name for d in models[0].dampers)
         if wanted != theirs:
             raise CosimError(f"the linear models have {' and '.join(theirs)}, {request.damper} {' and '.join(wanted)}")
-        values = design_values(request.damper, "damper") | dict(request.parameters)
+        known = [f"{d.name}.{q}" for d in models[0].dampers for q in ("m", "k", "c", "stroke", "k_stop", "c_stop")]
+        for name in request.parameters:
+            if name not in known:
+                raise CosimError(
+                    f"'{name}' is fixed in the linear models: make some with 'fowt linearise --set {name}=VALUE'"
+                )
+        values = design_values(request.damper, "damper") | dict(request.parameters) | dict(design or {})
         fixed = {n: float(v) for n, v in values.items() if n not in names}
         self._response = SpectralResponse(models, names, fixed)
         for channel in request.channels:

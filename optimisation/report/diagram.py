@@ -104,7 +104,7 @@ def _node(name: str, place: Point) -> str:
 def _edge(start: Point, end: Point, rows: pd.DataFrame, label_at: float) -> str:
     """An arrow shifted to its right, so that both directions show, with what flows beside it at a share of its way."""
     dx, dy = end[0] - start[0], end[1] - start[1]
-    length = math.hypot(dx, dy)
+    length = math.hypot(dx, dy) or 1.0  # of a component that feeds itself
     nx, ny = -dy / length, dx / length
     x1, y1 = _clip(start, (dx, dy), (GAP * nx, GAP * ny))
     x2, y2 = _clip(end, (-dx, -dy), (GAP * nx, GAP * ny))
