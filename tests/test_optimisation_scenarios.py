@@ -11,6 +11,7 @@ import time
 import types
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -31,7 +32,7 @@ def fmu(built: Callable[[Component], Path]) -> Path:
     return built(component())
 
 
-def result(folder: Path) -> dict:  # type: ignore[type-arg]
+def result(folder: Path) -> dict[str, Any]:
     content = json.loads((folder / "result.json").read_text())
     del content["seconds"]
     return dict(content)

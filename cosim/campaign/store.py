@@ -19,6 +19,7 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
+from cosim.archive import sha256
 from cosim.errors import CosimError
 from cosim.recording import RESULTS, write_json
 from cosim.run import simulate
@@ -123,7 +124,7 @@ def _run(work: Work, task: Task, final: Path) -> Outcome:
 def _record(work: Work, task: Task, folder: Path) -> Rows:
     """Evaluate a run and write its record, the last thing that makes it a finished one."""
     rows = work.evaluate(folder, task.about)
-    content = {"key": task.key, "results": _sha256(folder / RESULTS), "evaluation": work.evaluation, "rows": rows}
+    content = {"key": task.key, "results": sha256(folder / RESULTS), "evaluation": work.evaluation, "rows": rows}
     write_json(folder / RECORD, {"content": content, "sha256": _digest(content)})
     return rows
 
@@ -151,7 +152,7 @@ def results_differ(folder: Path, key: str) -> str:
     if content["key"] != key:
         return "its inputs have changed (parameters, FMUs, wind, settings or versions)"
     try:
-        same = content["results"] == _sha256(folder / RESULTS)
+        same = content["results"] == sha256(folder / RESULTS)
     except OSError as error:
         return f"{RESULTS} cannot be read ({error.strerror})"
     return "" if same else f"{RESULTS} differs from its record"
@@ -230,8 +231,3 @@ def _lock(file: int) -> None:
 
 def _digest(content: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

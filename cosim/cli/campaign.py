@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import shlex
@@ -14,6 +13,7 @@ from typing import Annotated, Any
 
 import typer
 
+from cosim.archive import sha256
 from cosim.campaign.pool import run_here, run_on_dask
 from cosim.campaign.store import Outcome, Task, Work, finished_rows, foreign, locked
 from cosim.case import Damper, LoadCase, read_case, shipped_cases
@@ -362,7 +362,7 @@ def _refuse_another(root: Path, options: Options) -> None:
 
 
 def _ssv_digests(options: Options) -> list[str]:
-    return [hashlib.sha256(Path(p).read_bytes()).hexdigest() for p in options.ssv]
+    return [sha256(Path(p)) for p in options.ssv]
 
 
 def _from_anywhere(case: str) -> str:

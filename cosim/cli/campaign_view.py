@@ -90,11 +90,9 @@ def evaluate_all(campaign: Campaign) -> dict[str, pd.DataFrame]:
         "power": pd.concat(power, ignore_index=True),
         "paper": beside_paper(table),
     }
-    try:
-        found["fatigue"] = tables.fatigue(table, campaign.speeds())
-    except ValueError as error:
-        warn(f"{error}: no loads over a lifetime")
-        found["fatigue"] = tables.fatigue(table, {})
+    found["fatigue"], why_not = tables.fatigue_and_why(table, campaign.speeds())
+    if why_not:
+        warn(f"{why_not}: no loads over a lifetime")
     return found
 
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from cosim.archive import sha256
 from cosim.case import LoadCase, qualified, read_case
 from cosim.cli.console import warn
 from cosim.cli.run import Changes, prepare
@@ -108,7 +109,7 @@ def _judge_spectral(request: Request, folder: Path | None) -> Judged:
     def fitness(options: Mapping[str, Any]) -> ScenarioFitness:
         return ScenarioFitness(responses, reference, request.scenarios, request.channels, request.aggregate)
 
-    return Judged(request.task(), {m.label: _sha256(f) for f, m in models.items()}, None, fitness)
+    return Judged(request.task(), {m.label: sha256(f) for f, m in models.items()}, None, fitness)
 
 
 def _prior(request: Request, models: Mapping[Path, LinearModel]) -> tuple[Callable[[Array], Array], dict[str, str]]:
@@ -128,11 +129,7 @@ def _prior(request: Request, models: Mapping[Path, LinearModel]) -> tuple[Callab
     def prior(candidates: Array) -> Array:
         return responses(candidates).reshape(len(candidates), -1)
 
-    return prior, {f"{label}, linear": _sha256(file) for label, file in found.items()}
-
-
-def _sha256(file: Path) -> str:
-    return hashlib.sha256(file.read_bytes()).hexdigest()
+    return prior, {f"{label}, linear": sha256(file) for label, file in found.items()}
 
 
 class SpectralResponses:
@@ -255,7 +252,7 @@ class CoupledRuns:
             if path is None or not path.is_file():
                 return value
             if path not in self._contents:
-                self._contents[path] = fmu_digest(path) if path.suffix == ".fmu" else _sha256(path)
+                self._contents[path] = fmu_digest(path) if path.suffix == ".fmu" else sha256(path)
             return self._contents[path]
 
         parts = [

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from optimisation.campaign.runs import Campaign
 from optimisation.evaluation import power_spectral_density
 
 Array = npt.NDArray[np.float64]
@@ -58,21 +57,3 @@ def mean_spectrum(
             raise ValueError(f"spectrum of {channel}: the runs differ in length or sampling")
     density = np.mean([s.density for s in spectra], axis=0)
     return MeanSpectrum(first.frequency, density, first.segment, sum(s.segments for s in spectra), len(spectra))
-
-
-def campaign_spectra(
-    campaign: Campaign, case: str, channels: Sequence[str], *, segment: float = SEGMENT
-) -> dict[str, dict[str, MeanSpectrum]]:
-    """Spectra of a case averaged over seeds: {channel: {damper: spectrum}}; each run is read once.
-
-    Arrangements without finished runs, and channels that a run lacks, are left out.
-    """
-    found: dict[str, dict[str, MeanSpectrum]] = {channel: {} for channel in channels}
-    for damper in campaign.dampers:
-        frames = [campaign.frame(case, damper, seed) for seed in campaign.seeds(case, damper)]
-        for channel in channels:
-            if frames and all(channel in f.columns for f in frames):
-                found[channel][damper] = mean_spectrum(
-                    frames, channel, transient=campaign.transient(case), segment=segment
-                )
-    return found

@@ -180,6 +180,14 @@ def gumbel(maxima: Sequence[float] | pd.Series) -> tuple[float, float]:
     return float(x.mean() - np.euler_gamma * scale), float(scale)
 
 
+def fatigue_and_why(table: pd.DataFrame, speeds: Mapping[str, float]) -> tuple[pd.DataFrame, str]:
+    """`fatigue` over a lifetime too where the cases' wind speeds allow, and why not where they do not, or ""."""
+    try:
+        return fatigue(table, speeds), ""
+    except ValueError as error:
+        return fatigue(table, {}), str(error)
+
+
 def fatigue(
     table: pd.DataFrame,
     speeds: Mapping[str, float],
@@ -254,7 +262,7 @@ def _pairs(
 
 def _groups(table: pd.DataFrame, channels: Sequence[str]) -> Iterator[tuple[tuple[str, str, str], pd.DataFrame]]:
     """Rows of each case, arrangement and channel, sorted by seed; channels in the given order."""
-    grouped = {key: part for key, part in table.groupby(["case", "damper", "channel"], sort=False)}  # noqa: C416
+    grouped = dict(iter(table.groupby(["case", "damper", "channel"], sort=False)))
     for case, damper in dict.fromkeys(key[:2] for key in grouped):
         for channel in channels:
             if (case, damper, channel) in grouped:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -182,7 +183,7 @@ def _histories(study: Study) -> Section:
 def _spectra(study: Study) -> Section:
     plots = []
     for letters, channel in zip(("A, B", "C, D", "E, F", "G, H"), RESPONSES, strict=True):
-        own = _by_case(study, lambda case, channel=channel: figures_time.spectrum(study, case, channel))  # type: ignore[misc]
+        own = _by_case(study, partial(figures_time.spectrum, study, channel=channel))
         if own:
             plots.append(Plot(f"spectrum-{channel}", f"Figure 11{letters}: {channel_name(channel)}", own))
     return Section("spectra", "Spectra", (), tuple(plots), choices=_choices(*plots))

@@ -18,7 +18,7 @@ from optimisation.campaign.tables import (
     REFERENCE,
     damper_travel,
     extremes,
-    fatigue,
+    fatigue_and_why,
     levels,
     ranking,
     suppression,
@@ -178,21 +178,13 @@ def read_study(campaign: Campaign) -> Study:
         order=ranking(table, channels),
         power=levels(table, "rms", [POWER]),
         extreme=extremes(table, RESPONSES),
-        fatigue=_fatigue(table, campaign),
+        fatigue=fatigue_and_why(table, campaign.speeds())[0],
         travel=damper_travel(table),
         paper=beside_paper(table),
         spectra=spectra,
         histories={key: frame for key, (_, frame) in histories.items()},
         history_seeds={case: seed for (case, _), (seed, _) in histories.items()},
     )
-
-
-def _fatigue(table: pd.DataFrame, campaign: Campaign) -> pd.DataFrame:
-    """With loads over a lifetime where the cases' wind speeds stand for bins of one distribution."""
-    try:
-        return fatigue(table, campaign.speeds())
-    except ValueError:
-        return fatigue(table, {})
 
 
 Key = tuple[str, str, int]
