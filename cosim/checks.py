@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from cosim.errors import CosimError, nearest
 from cosim.fmu import Fmu, FmuVariable, Value, read_fmu
@@ -79,6 +79,7 @@ def check(system: System, isolated: Collection[str] = ()) -> CheckedSystem:
             raise CosimError(
                 f"{fmu.path.name} can be instantiated only once, but {' and '.join(users)} use it; isolate all but one"
             )
+    system = replace(system, connections=tuple(e for c in system.connections for e in _by_elements(c, names, fmus)))
     links = tuple(_link(c, names, fmus) for c in system.connections)
     fed: dict[tuple[int, str], Connection] = {}
     for connection, link in zip(system.connections, links, strict=True):
@@ -103,6 +104,21 @@ def check(system: System, isolated: Collection[str] = ()) -> CheckedSystem:
     mapped = tuple(c.mapped for c in system.components)
     warnings += [w for p in system.ports for w in _lost_pairs(p, fmus[names.index(p.component)])]
     return CheckedSystem(system.name, names, fmus, links, start, tuple(warnings), ports, mapped)
+
+
+def _by_elements(connection: Connection, names: tuple[str, ...], fmus: tuple[Fmu, ...]) -> list[Connection]:
+    """A connection of whole arrays as those of their elements."""
+    found = []
+    for name, variable in ((connection.source, connection.output), (connection.target, connection.input)):
+        known: Collection[str] = fmus[names.index(name)].variables if name in names else ()
+        found.append([n for n in known if n.startswith(f"{variable}[")] if variable not in known else [])
+    if not all(found):
+        return [connection]
+    if len(found[0]) != len(found[1]):
+        raise CosimError(
+            f"connection {connection}: {len(found[0])} elements to {len(found[1])}; connect arrays of one length"
+        )
+    return [replace(connection, output=a, input=b) for a, b in zip(*found, strict=True)]
 
 
 def _link(connection: Connection, names: tuple[str, ...], fmus: tuple[Fmu, ...]) -> Link:
@@ -197,7 +213,8 @@ def _unitless(links: tuple[Link, ...], names: tuple[str, ...]) -> list[str]:
 def _start_value(component: ComponentInstance, variable: FmuVariable, given: StartValue) -> Value:
     """The value in the FMU's unit and type, within its bounds."""
     where = f"{component.name}.{variable.name} = {given.value}"
-    settable = variable.causality in ("parameter", "input") or variable.initial in ("exact", "approx")
+    chosen = variable.initial in ("exact", "approx") and variable.causality != "structuralParameter"
+    settable = variable.causality in ("parameter", "input") or chosen
     if not settable or variable.variability == "constant":
         raise CosimError(f"{where}: is {variable.causality} and cannot be set; set a parameter")
     value = _typed(where, variable, given.value)

@@ -1,11 +1,10 @@
-"""FMI 2.0 co-simulation FMUs: what their description says, and running instances of them."""
+"""FMUs for co-simulation, of FMI 2.0 and 3.0: what their description says."""
 
 from __future__ import annotations
 
-import ctypes
-import sys
-from collections.abc import Collection, Mapping
-from ctypes import c_char_p, c_double, c_int, c_size_t, c_uint, c_void_p
+import itertools
+import math
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -13,19 +12,28 @@ from typing import Any
 
 import fmpy
 
-from cosim import archive, kernel
-from cosim.errors import CosimError, RunFailed, nearest
+from cosim import archive
+from cosim.errors import CosimError, nearest
 from fmus_src.units import Unit
 from fmus_src.units import unit as named_unit
 
 Value = float | int | bool | str
 VARYING = ("discrete", "continuous", None)
-_C_TYPES: dict[str, Any] = {"Real": c_double, "Integer": c_int, "Boolean": c_int, "String": c_char_p}
+# FMI 3.0's types by those that they are to the master, which are FMI 2.0's; clocks and binaries it leaves alone
+INTEGERS = ("Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64")
+KINDS = dict.fromkeys(("Float64", "Float32"), "Real") | dict.fromkeys(INTEGERS, "Integer")
+KINDS |= {"Boolean": "Boolean", "String": "String", "Enumeration": "Enumeration"}
+MOST_ELEMENTS = 100_000
 
 
 @dataclass(frozen=True)
 class FmuVariable:
-    """A scalar variable; `unit` is None where the FMU declares none; bounds and nominal in that unit."""
+    """A scalar variable, or an element of an array; `unit`, also of the bounds, is None where none is declared.
+
+    Attributes:
+        reference: the value reference; in FMI 3.0, the number of the element in the FMU (see `FmuArray`).
+        type: by FMI 2.0's names.
+    """
 
     name: str
     reference: int
@@ -42,18 +50,41 @@ class FmuVariable:
 
 
 @dataclass(frozen=True)
+class FmuArray:
+    """A variable of FMI 3.0; its elements, one if it is a scalar, have the numbers `first`, `first` + 1, ...
+
+    Attributes:
+        type: FMI 3.0's.
+        start: of each element; 0 where none is given, and of text.
+        intermediate: it can be set within a step.
+    """
+
+    reference: int
+    type: str
+    first: int
+    size: int
+    start: tuple[float, ...]
+    intermediate: bool
+
+
+@dataclass(frozen=True)
 class Fmu:
     """An FMU file.
 
     Attributes:
         feedthrough: output -> inputs on which it depends directly (all inputs, where the FMU does not say).
-        interpolates: the FMU takes slopes of its inputs (canInterpolateInputs).
-        keeps_state: its state can be saved and restored (canGetAndSetFMUstate).
-        differentiates: it gives directional derivatives (providesDirectionalDerivative).
+        version: of FMI, "2.0" or "3.0".
+        guid: in FMI 3.0 the instantiation token.
+        arrays: all variables of FMI 3.0 by elements; empty for FMI 2.0.
+        interpolates: inputs may change within a step: the FMU takes their slopes (canInterpolateInputs), or asks for
+            them (providesIntermediateUpdate, and intermediateUpdate of each continuous input).
+        keeps_state: its state can be saved and restored (canGetAndSetFMUState).
+        differentiates: it gives directional derivatives (providesDirectionalDerivatives).
         varies_step: it takes steps of any length (canHandleVariableCommunicationStepSize).
     """
 
     path: Path
+    version: str
     sha256: str
     identifier: str
     binary: str
@@ -61,6 +92,7 @@ class Fmu:
     generator: str
     variables: Mapping[str, FmuVariable]
     feedthrough: Mapping[str, tuple[str, ...]]
+    arrays: tuple[FmuArray, ...]
     interpolates: bool
     keeps_state: bool
     differentiates: bool
@@ -82,7 +114,7 @@ def read_fmu(path: Path) -> Fmu:
     """Read an FMU's description.
 
     Raises:
-        CosimError: not a readable FMI 2.0 co-simulation FMU with a binary for this platform.
+        CosimError: not a readable co-simulation FMU of FMI 2.0 or 3.0 with a binary for this platform.
     """
     try:
         stat = path.stat()
@@ -122,39 +154,106 @@ def _read(path: Path, modified: int, size: int) -> Fmu:
 
 
 def _taken_from(path: Path, md: Any, files: Collection[str]) -> Fmu:
-    if md.fmiVersion != "2.0" or md.coSimulation is None:
+    if md.fmiVersion not in ("2.0", "3.0") or md.coSimulation is None:
         kind = "model exchange" if md.coSimulation is None else f"FMI {md.fmiVersion}"
-        raise CosimError(f"FMU {path}: is {kind}; export it as FMI 2.0 for co-simulation")
+        raise CosimError(f"FMU {path}: is {kind}; export it as FMI 2.0 or 3.0 for co-simulation")
     identifier = md.coSimulation.modelIdentifier
     # FMI 2 has no name for 64-bit ARM on Linux: its folder there is that of FMI 3
-    folders = dict.fromkeys((fmpy.platform_tuple, fmpy.platform))
+    folders = dict.fromkeys((fmpy.platform_tuple, fmpy.platform) if md.fmiVersion == "2.0" else (fmpy.platform_tuple,))
     binaries = [f"binaries/{f}/{identifier}{fmpy.sharedLibraryExtension}" for f in folders]
     binary = next((b for b in binaries if b in files), None)
     if binary is None:
         raise CosimError(f"FMU {path}: has no {binaries[-1]}; build it for this platform")
     units = {u.name: _unit(u) for u in md.unitDefinitions}
-    variables = {v.name: _variable(v, units) for v in md.modelVariables}
+    common = {
+        "path": path, "version": md.fmiVersion, "sha256": archive.sha256(path), "identifier": identifier,
+        "binary": binary, "generator": md.generationTool or "",
+        "keeps_state": bool(md.coSimulation.canGetAndSetFMUstate),
+        "varies_step": bool(md.coSimulation.canHandleVariableCommunicationStepSize),
+        "once_per_process": bool(md.coSimulation.canBeInstantiatedOnlyOncePerProcess),
+    }  # fmt: skip
+    if md.fmiVersion == "3.0":
+        return Fmu(**common, guid=md.instantiationToken, **_of_version_3(path, md, units))
+    variables = {v.name: _variable(v, units, v.name, v.valueReference, v.start) for v in md.modelVariables}
+    return Fmu(
+        **common,
+        guid=md.guid,
+        variables=variables,
+        feedthrough=_feedthrough(md, variables, {id(v): [v.name] for v in md.modelVariables}),
+        arrays=(),
+        interpolates=bool(md.coSimulation.canInterpolateInputs),
+        differentiates=bool(md.coSimulation.providesDirectionalDerivative),
+    )
+
+
+def _feedthrough(
+    md: Any, variables: Mapping[str, FmuVariable], names: Mapping[int, list[str]]
+) -> dict[str, tuple[str, ...]]:
+    """Inputs on which each output depends; `names` has the scalars of a variable of FMPy's, by its identity."""
     inputs = tuple(n for n, v in variables.items() if v.causality == "input")
     feedthrough = {n: inputs for n, v in variables.items() if v.causality == "output"}
     for unknown in md.outputs:
         if unknown.dependencies is not None:
-            names = (d.name for d in unknown.dependencies)
-            feedthrough[unknown.variable.name] = tuple(n for n in names if variables[n].causality == "input")
-    return Fmu(
-        path=path,
-        sha256=archive.sha256(path),
-        identifier=identifier,
-        binary=binary,
-        guid=md.guid,
-        generator=md.generationTool or "",
-        variables=variables,
-        feedthrough=feedthrough,
-        interpolates=bool(md.coSimulation.canInterpolateInputs),
-        keeps_state=bool(md.coSimulation.canGetAndSetFMUstate),
-        differentiates=bool(md.coSimulation.providesDirectionalDerivative),
-        varies_step=bool(md.coSimulation.canHandleVariableCommunicationStepSize),
-        once_per_process=bool(md.coSimulation.canBeInstantiatedOnlyOncePerProcess),
-    )
+            known = [n for d in unknown.dependencies for n in names.get(id(d), ())]
+            depends = tuple(n for n in known if variables[n].causality == "input")
+            feedthrough |= dict.fromkeys(names.get(id(unknown.variable), ()), depends)
+    return feedthrough
+
+
+def _of_version_3(path: Path, md: Any, units: Mapping[str, Unit]) -> dict[str, Any]:
+    """What FMI 3.0 says in its own way, some of which FMPy does not read."""
+    root = archive.parse_xml(archive.read_entry(path, "modelDescription.xml"), "modelDescription.xml")
+    asked = {e.get("valueReference") for e in root.iter() if e.get("intermediateUpdate") in ("true", "1")}
+    interface = root.find("CoSimulation")
+    arrays, variables, names = dict[int, FmuArray](), dict[str, FmuVariable](), dict[int, list[str]]()
+    count = 0
+    for v in md.modelVariables:
+        if v.type not in KINDS or (v.type == "String" and v.shape):
+            continue
+        if v.valueReference not in arrays:
+            size = math.prod(v.shape)
+            if count + size > MOST_ELEMENTS:
+                raise CosimError(f"FMU {path}: {v.name}: more than {MOST_ELEMENTS} elements with it; use less")
+            numbers = (0.0,) if v.type == "String" else tuple(_number(text) for text in _starts(v, size))
+            arrays[v.valueReference] = FmuArray(
+                v.valueReference, v.type, count, size, numbers, str(v.valueReference) in asked
+            )
+            count += size
+        array = arrays[v.valueReference]
+        found = {
+            n: _variable(v, units, n, array.first + i, text)
+            for i, (n, text) in enumerate(zip(_element_names(v), _starts(v, array.size), strict=True))
+        }
+        variables |= found
+        names.setdefault(id(v.alias or v), []).extend(found)
+    real = [v for v in md.modelVariables if KINDS.get(v.type) == "Real" and v.causality in ("input", "output")]
+    moving = [v for v in real if v.causality == "input" and v.variability == "continuous"]
+    return {
+        "variables": variables,
+        "feedthrough": _feedthrough(md, variables, names),
+        "arrays": tuple(arrays.values()),
+        "interpolates": interface.get("providesIntermediateUpdate") in ("true", "1")
+        and all(arrays[v.valueReference].intermediate for v in moving),
+        "differentiates": interface.get("providesDirectionalDerivatives") in ("true", "1")
+        and all(v.type == "Float64" for v in real),
+    }
+
+
+def _element_names(v: Any) -> Iterator[str]:
+    """`x`, or `x[1]` and `x[1,2]` row by row; of a derivative, `der(x[1])`."""
+    inner, close = (v.name[:-1], ")") if v.name.startswith("der(") and v.name.endswith(")") else (v.name, "")
+    for index in itertools.product(*(range(1, n + 1) for n in v.shape)):
+        yield f"{inner}[{','.join(map(str, index))}]{close}" if index else v.name
+
+
+def _starts(v: Any, size: int) -> list[str | None]:
+    """Start value of each element: one for each, or one for all."""
+    texts = [v.start] if v.type == "String" or v.start is None else v.start.split()
+    return texts if len(texts) == size else [*texts, None][:1] * size
+
+
+def _number(text: str | None) -> float:
+    return float(text == "true") if text in ("true", "false") else float(text or 0)
 
 
 def _unit(definition: Any) -> Unit:
@@ -170,7 +269,7 @@ def _unit(definition: Any) -> Unit:
         return Unit(definition.name, 1.0, 0.0, ((definition.name, 1),))
 
 
-def _variable(v: Any, units: Mapping[str, Unit]) -> FmuVariable:
+def _variable(v: Any, units: Mapping[str, Unit], name: str, reference: int, start: str | None) -> FmuVariable:
     def attribute(name: str) -> Any:
         own = getattr(v, name)
         return own if own is not None or v.declaredType is None else getattr(v.declaredType, name)
@@ -179,110 +278,9 @@ def _variable(v: Any, units: Mapping[str, Unit]) -> FmuVariable:
         text = attribute(name)
         return None if text is None else float(text)
 
-    unit = attribute("unit") if v.type == "Real" else None
+    kind = KINDS.get(v.type, v.type)
+    unit = attribute("unit") if kind == "Real" else None
     return FmuVariable(
-        v.name, v.valueReference, v.type, v.causality or "local", v.variability, v.initial,
-        units.get(unit or ""), v.start, number("min"), number("max"), number("nominal"), v.description or "",
+        name, reference, kind, v.causality or "local", v.variability, v.initial,
+        units.get(unit or ""), start, number("min"), number("max"), number("nominal"), v.description or "",
     )  # fmt: skip
-
-
-class Instance:
-    """An instantiated FMU. Every failure raises `RunFailed` with the FMU's own message."""
-
-    def __init__(self, name: str, fmu: Fmu, folder: Path, start: float, log: kernel.Log | None = None) -> None:
-        """Load the binary from the unpacked FMU in `folder`, instantiate, and set up the experiment.
-
-        Args:
-            log: where to keep the FMU's messages; here by default.
-        """
-        self.name = name
-        self.fmu = fmu
-        self.log = log or kernel.Log()
-        self._callbacks = (c_void_p * 5)()  # fmi2CallbackFunctions
-        kernel.library().fill_callbacks(self._callbacks, ctypes.byref(self.log))
-        self._instance = c_void_p()
-        try:
-            # on Windows, libraries that the FMU brings are to be found beside its own
-            options: dict[str, Any] = {"winmode": 8} if sys.platform == "win32" else {}
-            self._dll = ctypes.CDLL(str((folder / fmu.binary).resolve()), **options)
-            self._dll.fmi2Instantiate.restype = c_void_p
-        except (OSError, AttributeError) as error:
-            raise RunFailed(f"{name}: {fmu.path.name} cannot be loaded: {error}") from error
-        resources = (folder / "resources").resolve().as_uri()
-        texts = [c_char_p(t.encode()) for t in (name, fmu.guid, resources)]
-        self._instance.value = self._dll.fmi2Instantiate(
-            texts[0], c_int(1), texts[1], texts[2], ctypes.byref(self._callbacks), c_int(0), c_int(1)
-        )
-        if not self._instance:
-            fmpy.freeLibrary(self._dll._handle)
-            raise RunFailed(f"{name}: {fmu.path.name} cannot be instantiated{self.message()}")
-        self._call("fmi2SetupExperiment", c_int(0), c_double(0.0), c_double(start), c_int(0), c_double(0.0))
-
-    def set(self, values: Mapping[str, Value]) -> None:
-        """Set start values, in the FMU's own units."""
-        for name, value in values.items():
-            variable = self.fmu.variables[name]
-            kind = "Integer" if variable.type == "Enumeration" else variable.type
-            plain = value.encode() if isinstance(value, str) else value
-            array = (_C_TYPES[kind] * 1)(plain)
-            reference = (c_uint * 1)(variable.reference)
-            self._call(f"fmi2Set{kind}", reference, c_size_t(1), array, what=f"{name} = {value}: ")
-
-    def enter_initialisation(self) -> None:
-        """Start initialisation mode."""
-        self._call("fmi2EnterInitializationMode")
-
-    def exit_initialisation(self) -> None:
-        """Leave initialisation mode: the FMU is ready to step."""
-        self._call("fmi2ExitInitializationMode")
-
-    def message(self) -> str:
-        """ ": " and the FMU's last message, errors before warnings; or nothing."""
-        lines = self.log.lines()
-        errors = [text for status, text in lines if status > kernel.WARNING]
-        chosen = errors[-1:] or [text for _, text in lines][-1:]
-        return f": {chosen[0]}" if chosen else ""
-
-    def member(self) -> dict[str, int | None]:
-        """Addresses that the kernel calls: of the instance, and of the FMI functions by the kernel's names."""
-        addresses: dict[str, int | None] = {"instance": self._instance.value}
-        states = dict.fromkeys(("get_state", "set_state", "free_state"), self.fmu.keeps_state)
-        offered = {"set_slopes": self.fmu.interpolates, "directional": self.fmu.differentiates, **states}
-        for short, function in kernel.FUNCTIONS.items():
-            if not offered.get(short, True):
-                addresses[short] = None
-                continue
-            try:
-                addresses[short] = ctypes.cast(getattr(self._dll, function), c_void_p).value
-            except AttributeError as error:
-                raise RunFailed(f"{self.name}: {self.fmu.path.name} lacks the function {function}") from error
-        return addresses
-
-    def failure(self, call: str, status: int, time: float) -> str:
-        """The line that a run ends with when `call` returned a failing status in the step from `time`, s."""
-        return (
-            f"{self.name}: {call} returned {kernel.status_name(status)}"
-            f" at t = {time:.6g} s{self.message() or '; the FMU gave no reason'}"
-        )
-
-    def abandon(self) -> None:
-        """After fmi2Fatal, FMI allows no further call, not even to free the instance."""
-        self._instance.value = None
-
-    def free(self, terminate: bool) -> None:
-        """Terminate (after a run without error) and free; does nothing the second time."""
-        if not self._instance:
-            return
-        if terminate:
-            self._dll.fmi2Terminate(self._instance)  # the results are complete: its status changes nothing
-        self._dll.fmi2FreeInstance(self._instance)
-        self._instance.value = None
-        fmpy.freeLibrary(self._dll._handle)
-
-    def _call(self, function: str, *arguments: Any, what: str = "") -> None:
-        status = getattr(self._dll, function)(self._instance, *arguments)
-        if status in (0, kernel.WARNING):
-            return
-        if status == kernel.FATAL:
-            self.abandon()
-        raise RunFailed(f"{self.name}: {what}{function} returned {kernel.status_name(status)}{self.message()}")

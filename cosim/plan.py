@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from cosim import kernel
 from cosim.errors import CosimError, RunFailed
-from cosim.fmu import Instance
+from cosim.instance import Instance
 from cosim.layout import ITERATED, Algorithm, Extrapolation, Layout
 
 ORDERS = {"held": 0, "linear": 1, "quadratic": 2}
@@ -205,7 +205,7 @@ class Stepper:
         """After fmi2Fatal, FMI allows no further call to any instance of the FMU that is in the same process."""
         for member, m in zip(self._members, self.layout.members, strict=True):
             instance = self.instances[m.component]
-            if instance is failed or (type(instance) is Instance and instance.fmu.path == failed.fmu.path):
+            if instance is failed or (not instance.apart and instance.fmu.path == failed.fmu.path):
                 instance.abandon()
                 member.saved = None
 

@@ -20,8 +20,8 @@ import pandas as pd
 from cosim.archive import extract
 from cosim.checks import CheckedSystem, check
 from cosim.errors import CosimError, RunFailed, nearest
-from cosim.fmu import Instance
 from cosim.graph import step_order
+from cosim.instance import Instance, instantiate
 from cosim.isolation import CALL_TIMEOUT, IsolatedInstance, isolated_names
 from cosim.layout import ITERATED, Algorithm, Extrapolation, Layout, lay_out
 from cosim.plan import Stepper, Stepping
@@ -294,7 +294,7 @@ class _Run:
             if name in isolated:
                 instances.append(IsolatedInstance(name, fmu, folders[fmu.path], s.start, s.call_timeout))
             else:
-                instances.append(Instance(name, fmu, folders[fmu.path], s.start))
+                instances.append(instantiate(name, fmu, folders[fmu.path], s.start))
             stack.callback(instances[-1].free, False)
         return instances
 

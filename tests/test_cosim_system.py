@@ -255,9 +255,9 @@ def test_a_loop_through_one_component_is_found(fmus: dict[str, Path]) -> None:
     [
         (lambda p: None, "No such file or directory; build it"),
         (lambda p: p.write_bytes(b"not a zip"), "cannot be read"),
-        (lambda p: _archive(p, 'fmiVersion="3.0" modelName="x" instantiationToken="x"'), "cannot be read|is FMI 3.0"),
+        (lambda p: _archive(p, 'fmiVersion="3.0" modelName="x" instantiationToken="x"'), "cannot be read"),
         (lambda p: _archive(p, 'fmiVersion="2.0" modelName="x" guid="x"', "<ModelExchange modelIdentifier='x'/>"),
-         "is model exchange; export it as FMI 2.0 for co-simulation"),
+         "is model exchange; export it as FMI 2.0 or 3.0 for co-simulation"),
         (lambda p: _archive(p, 'fmiVersion="2.0" modelName="x" guid="x"', "<CoSimulation modelIdentifier='x'/>"),
          "has no binaries/.*; build it for this platform"),
     ],

@@ -13,6 +13,7 @@ from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
+import fmpy
 import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
@@ -28,6 +29,7 @@ from fmus_src.component import Component
 
 from .cosim_fmus import carried, mass, probe_description
 from .foreign_damper import description
+from .relay import description as relay_description
 from .test_ssp_package import MAP, NESTED, SET
 
 # what has broken parsers before: names, numbers out of range, markup, entities, bytes that are no text
@@ -90,14 +92,15 @@ def encoded(text: str) -> bytes:
     return text.encode("utf-8", "surrogateescape" if "\udcff" in text else "strict")
 
 
-@given(text=both(probe_description()) | both(description()))
+@given(text=both(probe_description()) | both(description()) | both(relay_description(intermediate=True)))
 @brief
 def test_model_descriptions(text: str, tmp_path: Path) -> None:
     path = tmp_path / f"{next(counter)}.fmu"  # read_fmu remembers by name and time
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("modelDescription.xml", encoded(text))
-        for name in ("probe", "foreign_damper"):
-            archive.writestr(f"binaries/linux64/{name}.so", b"")
+        for name in ("probe", "foreign_damper", "relay"):
+            for platform in (fmpy.platform, fmpy.platform_tuple):
+                archive.writestr(f"binaries/{platform}/{name}{fmpy.sharedLibraryExtension}", b"")
     read_or_refuse(lambda: read_fmu(path))
     path.unlink()
 

@@ -20,7 +20,8 @@ from typing import Any
 
 from cosim import kernel
 from cosim.errors import CosimError, RunFailed, nearest
-from cosim.fmu import Fmu, Instance, Value
+from cosim.fmu import Fmu, Value
+from cosim.instance import Instance, call_name
 from cosim.isolation import native
 
 CALL_TIMEOUT = 60.0  # s
@@ -43,6 +44,8 @@ class IsolatedInstance(Instance):
     that failed, and its time. The process ends with `free`, or with the parent.
     """
 
+    apart = True
+
     # Instance's own set-up is not wanted here: it happens in the other process
     def __init__(self, name: str, fmu: Fmu, folder: Path, start: float, timeout: float = CALL_TIMEOUT) -> None:
         """Start the process; it loads and instantiates the FMU while the caller goes on.
@@ -51,7 +54,7 @@ class IsolatedInstance(Instance):
             timeout: wall time after which a call counts as hanging, s.
         """
         self.name, self.fmu, self.timeout, self._start = name, fmu, timeout, start
-        self._call_of_python = "fmi2Instantiate"
+        self._call_of_python = call_name("fmi2Instantiate", fmu.version)
         self._absent: list[str] | None = None  # functions that the FMU need not have; None until it is loaded
         self._hung = 0.0  # s waited before it was killed
         self._freed = threading.Event()
@@ -137,7 +140,7 @@ class IsolatedInstance(Instance):
     def _ask(self, call: str, method: str, *arguments: Any) -> None:
         """Call a method of the `Instance` in the other process."""
         self._loaded()
-        self._call_of_python = call
+        self._call_of_python = call_name(call, self.fmu.version)
         text = json.dumps([method, *arguments]).encode()
         self._answer(self._library.channel_ask(self._channel, text, len(text)))
         self._call_of_python = ""
@@ -159,7 +162,7 @@ class IsolatedInstance(Instance):
         how = f"did not answer within {self._hung:g} s" if self._hung else describe_end(self._process.returncode)
         call = self._call_of_python
         if self._page is not None and not call:
-            call, time = native.CALLS[self._page.call], self._time(self._page.call, time)
+            call, time = call_name(native.CALLS[self._page.call], self.fmu.version), self._time(self._page.call, time)
         words = self.message() + self._last_line()
         return f"{self.name}: the process of {self.fmu.path.name} {how} at t = {time:.6g} s in {call}{words}"
 

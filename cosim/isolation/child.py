@@ -17,7 +17,7 @@ from typing import Any
 
 from cosim import kernel
 from cosim.errors import RunFailed
-from cosim.fmu import Instance
+from cosim.instance import Instance, instantiate
 from cosim.isolation import native
 
 
@@ -44,7 +44,7 @@ def _serve(page_file: Path, parent: int) -> None:
     page = native.Page.from_buffer(memory)
     channel = native.open_channel(source, target)
     try:
-        instance = Instance(name, fmu, folder, start, page.log)
+        instance = instantiate(name, fmu, folder, start, page.log)
         member = instance.member()
     except RunFailed as error:
         _answer(channel, error=str(error))

@@ -6,7 +6,7 @@ import ctypes
 import hashlib
 import tempfile
 from collections.abc import Sequence
-from ctypes import POINTER, Structure, c_char, c_double, c_int, c_int32, c_int64, c_void_p
+from ctypes import POINTER, Structure, c_char, c_double, c_int, c_int32, c_int64, c_size_t, c_uint32, c_void_p
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,11 @@ STATUS = ("fmi2OK", "fmi2Warning", "fmi2Discard", "fmi2Error", "fmi2Fatal", "fmi
 WARNING, FATAL = STATUS.index("fmi2Warning"), STATUS.index("fmi2Fatal")
 LOG_LINES = 8  # as in kernel.h
 TIMED_EVERY = 5  # as in kernel.h
-SOURCES = ("kernel.c", "member.c", "signals.c", "exchange.c", "iterate.c", "energy.c")
+SOURCES = ("kernel.c", "member.c", "signals.c", "exchange.c", "iterate.c", "energy.c", "adapter.c")
+# of FMI 3.0, as in adapter.c; enumerations are integers there
+NUMERIC_TYPES = (
+    "Float64", "Float32", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64", "Boolean",
+)  # fmt: skip
 
 
 def status_name(status: int) -> str:
@@ -81,6 +85,30 @@ class MemberStruct(Structure):
         *((name, c_int32) for name in ("derived", "varying", "iterated", "stale", "every", "substeps", "phase")),
         ("age", c_double),
         ("seconds", c_double),
+    ]
+
+
+class ArrayStruct(Structure):
+    """`Array` of adapter.h."""
+
+    _fields_ = [("reference", c_uint32), *((name, c_int32) for name in ("type", "first", "size"))]
+
+
+class AdapterStruct(Structure):
+    """`Adapter` of adapter.h."""
+
+    _fields_ = [
+        ("fmu", c_void_p),
+        ("log", POINTER(Log)),
+        *((name, c_void_p * len(NUMERIC_TYPES)) for name in ("get", "set")),
+        *((name, c_void_p) for name in ("do_step", "get_state", "set_state", "free_state", "directional")),
+        ("arrays", POINTER(ArrayStruct)),
+        *((name, c_void_p) for name in ("array_of", "values", "base", "slope", "bend", "moving", "seeds", "typed")),
+        *((name, c_void_p) for name in ("references", "known", "listed", "chosen", "place", "seen")),
+        ("round", c_int64),
+        ("n_moving", c_size_t),
+        ("begin", c_double),
+        ("failed", c_int),
     ]
 
 
@@ -139,7 +167,8 @@ def library() -> Any:
         CosimError: the compiler cannot build it.
     """
     folder = Path(__file__).parent
-    return _typed(built_library("kernel", [folder / name for name in SOURCES], [folder / "kernel.h"]))
+    sources, headers = ([folder / name for name in names] for names in (SOURCES, ("kernel.h", "adapter.h")))
+    return _typed(built_library("kernel", sources, headers))
 
 
 def built_library(name: str, sources: Sequence[Path], headers: Sequence[Path] = ()) -> Any:

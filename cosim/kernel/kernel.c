@@ -189,20 +189,27 @@ EXPORT void release_states(Plan *p)
     }
 }
 
+/* Keep a message among the last ones of `log`. */
+void keep_message(Log *log, int32_t status, const char *text)
+{
+    const int slot = log->count % LOG_LINES;
+    snprintf(log->text[slot], LOG_LENGTH, "%s", text);
+    log->status[slot] = status;
+    log->count += 1;
+}
+
 static void logger(fmi2ComponentEnvironment environment, fmi2String instance, fmi2Status status, fmi2String category,
                    fmi2String message, ...)
 {
-    Log *log = environment;
+    char text[LOG_LENGTH];
     (void)instance;
     (void)category;
-    if (!log || !message || status == fmi2OK) return;
-    const int slot = log->count % LOG_LINES;
+    if (!environment || !message || status == fmi2OK) return;
     va_list arguments;
     va_start(arguments, message);
-    vsnprintf(log->text[slot], LOG_LENGTH, message, arguments);
+    vsnprintf(text, sizeof text, message, arguments);
     va_end(arguments);
-    log->status[slot] = (int32_t)status;
-    log->count += 1;
+    keep_message(environment, (int32_t)status, text);
 }
 
 static void *allocate(size_t count, size_t size) { return calloc(count, size); }

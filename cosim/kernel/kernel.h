@@ -1,4 +1,4 @@
-/* The stepping loop of the co-simulation master: flat arrays in, FMI 2.0 calls out, no Python and no allocation in between.
+/* The stepping loop of the co-simulation master: flat arrays in, FMI 2.0 calls out (adapter.h for 3.0), no Python and no allocation in between.
  *
  * A *value* is a double read from a component, whatever its FMI type; an *input* is one set in a component, and equals
  * factor * value + offset of its source. Over a step from t_n, inputs are polynomials of the time tau since t_n:
@@ -138,6 +138,7 @@ typedef struct {
 int fail(Plan *p, int32_t member, int32_t cause, int32_t value, fmi2Status status);
 int bad(fmi2Status status);
 double seconds_now(void);
+void keep_message(Log *log, int32_t status, const char *text);
 
 /* member.c (these names are not exported: libc has an `advance` of its own) */
 int set_member(Plan *p, int32_t member);

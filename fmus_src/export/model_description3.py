@@ -41,7 +41,7 @@ def model_description3(exports: Exports, token: str) -> str:
     ET.SubElement(root, "CoSimulation", common | {
         "canHandleVariableCommunicationStepSize": "true",
         "maxOutputDerivativeOrder": "0",
-        "providesIntermediateUpdate": "false",
+        "providesIntermediateUpdate": "true",
         "hasEventMode": "false",
     })  # fmt: skip
     unit_definitions(ET.SubElement(root, "UnitDefinitions"), list(exports.all))
@@ -76,6 +76,8 @@ def _variable(parent: ET.Element, e: Exported) -> None:
         attributes |= details(v)
     if e.has_start and v.kind != "string":
         attributes["start"] = " ".join(number(v, x) for x in v.start)
+    if e.role == "input" and v.kind == "real" and e.variability == "continuous":
+        attributes["intermediateUpdate"] = "true"
     if e.state is not None:
         attributes["derivative"] = str(e.state)
     element = ET.SubElement(parent, _TYPES[v.kind], attributes)

@@ -1,6 +1,6 @@
 /* The course of a simulation: initialisation, steps of co-simulation, events of model exchange.
  *
- * Inputs are polynomials over a step (set_slope, orders 1 and 2); sampled states change at start + k * sample_time,
+ * Inputs are polynomials over a step (set_slope, orders 1 and 2), or what the importer says when asked; sampled states change at start + k * sample_time,
  * k = 1, 2, ... (or 0, 1, ...). */
 #include <float.h>
 
@@ -64,8 +64,9 @@ int step(instance *m, const char *function, double now, double length)
         m->s.samples++;
     }
     if (integrate(m, u, begin, end)) return 1;
-    inputs_at(m, u, end - begin);
+    inputs_at(m, u, begin, end);
     memset(v + AT_SLOPE, 0, 2 * (size_t)model.n_u * sizeof(double));
+    if (m->s.mode == FAILED) return 1; /* as the importer set inputs on the way */
     int wrong = 0;
     /* without a branch: there may be thousands */
     for (int i = AT_X; i < AT_TIME; i++) wrong |= !(fabs(v[i]) <= DBL_MAX);

@@ -44,9 +44,13 @@ int look_up(instance *m, const casadi_real **arg, int purpose)
     return 0;
 }
 
-void inputs_at(instance *m, const double *u, double after)
+void inputs_at(instance *m, const double *u, double begin, double time)
 {
-    double *v = m->values;
+    double *v = m->values, after = time - begin;
+    if (m->ask) {
+        m->ask(m, time);
+        return;
+    }
     for (int i = 0; i < model.n_u; i++)
         v[AT_U + i] = u[i] + after * (v[AT_SLOPE + i] + 0.5 * after * v[AT_CURVE + i]);
 }
@@ -55,7 +59,7 @@ int sample(instance *m, const double *u, double begin)
 {
     const casadi_real *arg[N_ARGUMENTS] = {0};
     double *next = m->scratch + AT_NEXT_Z;
-    inputs_at(m, u, m->s.time - begin);
+    inputs_at(m, u, begin, m->s.time);
     arguments_of(m, &m->s.time, m->values + AT_X, arg);
     if (look_up(m, arg, FOR_UPDATE | WITH_SWITCHES)) return 1;
     call(m, &model.update, arg, next, NULL);

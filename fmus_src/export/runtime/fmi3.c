@@ -13,6 +13,14 @@ void deliver(const instance *m, const char *text)
     if (logger) logger(m->environment, fmi3Error, "logStatusError", text);
 }
 
+static void ask(instance *m, double time)
+{
+    fmi3Boolean early = fmi3False;
+    fmi3Float64 when = time;
+    ((fmi3IntermediateUpdateCallback)m->update)(m->environment, time, fmi3True, fmi3False, fmi3False, fmi3False, &early,
+                                                &when);
+}
+
 const char *fmi3GetVersion(void) { return fmi3Version; }
 
 fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
@@ -30,13 +38,25 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
                                          fmi3InstanceEnvironment environment, fmi3LogMessageCallback logger,
                                          fmi3IntermediateUpdateCallback update)
 {
-    (void)resources, (void)visible, (void)logging, (void)early_return, (void)intermediate, (void)update;
+    const char *function = "fmi3InstantiateCoSimulation";
+    (void)resources, (void)visible, (void)logging, (void)early_return;
     const allocator memory = {NULL, NULL};
     instance *m = create(name, token, 0, memory, environment, (void (*)(void))logger);
-    if (!m || (!event_mode && !n_intermediate)) return m;
-    report(m, "fmi3InstantiateCoSimulation: event mode and intermediate variables are not provided");
-    destroy(m);
-    return NULL;
+    if (!m) return NULL;
+    int failed = event_mode && report(m, "%s: event mode is not provided", function);
+    for (size_t i = 0; i < n_intermediate && !failed; i++) {
+        const fmi3ValueReference vr = intermediate[i];
+        failed = !update || vr >= (unsigned)model.n_variables || model.variables[vr].role != INPUT
+                 || model.variables[vr].kind != REAL;
+        if (failed) report(m, "%s: within a step only real inputs can be set, by a callback", function);
+    }
+    if (failed) {
+        destroy(m);
+        return NULL;
+    }
+    m->update = (void (*)(void))update;
+    m->ask = n_intermediate ? ask : NULL;
+    return m;
 }
 
 void fmi3FreeInstance(fmi3Instance c) { destroy(c); }

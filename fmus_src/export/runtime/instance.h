@@ -31,7 +31,7 @@ typedef struct {
     void (*release)(void *memory);
 } allocator;
 
-typedef struct {
+typedef struct instance {
     scalars s;
     int model_exchange;
     double *values;       /* p, k, u, y, x, z, time, rates, indicators, then w (lookup results), slopes of u, curves */
@@ -45,6 +45,8 @@ typedef struct {
     allocator memory;
     void *environment;    /* of the importer, for its logger */
     void (*logger)(void); /* the importer's, in the interface's own type */
+    void (*update)(void); /* likewise, for values within a step */
+    void (*ask)(struct instance *m, double time); /* has it set the inputs of then; NULL: they follow their slopes */
 } instance;
 
 #define AT_K (model.n_p)
@@ -86,7 +88,7 @@ int restart(instance *m);
 
 /* evaluation.c */
 int look_up(instance *m, const casadi_real **arg, int purpose); /* those it is for; the first time all */
-void inputs_at(instance *m, const double *u, double after); /* u: at the step's begin; after: seconds since */
+void inputs_at(instance *m, const double *u, double begin, double time); /* u: those at the step's begin */
 int sample(instance *m, const double *u, double begin);
 void start(instance *m);
 int open_boxes(instance *m);

@@ -25,7 +25,7 @@ static int rate(solver *s, double t, const double *x, double *dx)
     result[0] = dx;
     s->t = t;
     s->arg[X] = x;
-    if (model.n_u) inputs_at(m, s->u, t - s->begin);
+    if (model.n_u) inputs_at(m, s->u, s->begin, t);
     if (model.n_lookups && look_up(m, s->arg, FOR_RATES)) return 1;
     model.derivatives.evaluate(s->arg, result, m->iwork, m->work, 0);
     return 0;
@@ -50,7 +50,7 @@ static int signs_at(solver *s, double t, const double *x, double *result)
 {
     s->t = t;
     s->arg[X] = x;
-    if (model.n_u) inputs_at(s->m, s->u, t - s->begin);
+    if (model.n_u) inputs_at(s->m, s->u, s->begin, t);
     if (model.n_lookups && look_up(s->m, s->arg, FOR_SIGNS)) return 1;
     call(s->m, &model.switches, s->arg, result, NULL);
     return 0;
