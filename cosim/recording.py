@@ -242,6 +242,12 @@ def _field(name: str, unit: str, description: str) -> Any:
     return pa.field(name, pa.float64(), metadata={"unit": unit, "description": description})
 
 
+def result_files(folder: Path) -> list[Path]:
+    """The Parquet files that hold a run's results, in the order of time: one, or a broken-off run's parts."""
+    joined, parts = folder / RESULTS, sorted((folder / PARTS).glob("*.parquet"))
+    return [joined] if joined.exists() or not parts else parts
+
+
 def read_results(folder: Path) -> pd.DataFrame:
     """A run's channels, indexed by time (s); `attrs["units"]` has their units. Reads a broken-off run's parts too.
 
@@ -249,9 +255,7 @@ def read_results(folder: Path) -> pd.DataFrame:
         CosimError: the folder holds no readable results.
     """
     try:
-        joined, parts = folder / RESULTS, sorted((folder / PARTS).glob("*.parquet"))
-        whole = joined.exists() or not parts
-        table = pq.read_table(joined) if whole else pa.concat_tables([pq.read_table(p) for p in parts])
+        table = pa.concat_tables([pq.read_table(path) for path in result_files(folder)])
     except (OSError, pa.ArrowException) as error:
         raise CosimError(f"{folder}: no readable {RESULTS} ({error})") from error
     frame = table.to_pandas().set_index("Time")

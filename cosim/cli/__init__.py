@@ -11,6 +11,7 @@ from cosim.cli import (
     campaign,
     compare,
     converge,
+    convert,
     identify,
     inspect,
     linearise,
@@ -39,6 +40,7 @@ app.command("build")(build.build)
 app.command("run")(run.run)
 app.command("export")(package.export)
 app.command("compare")(compare.compare)
+app.command("convert")(convert.convert)
 app.command("campaign")(campaign.campaign)
 app.command("converge")(converge.converge)
 app.command("identify")(identify.identify)

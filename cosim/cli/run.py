@@ -19,6 +19,7 @@ from cosim.case import LoadCase, Number, qualified, read_case, with_damper
 from cosim.cli.build import build_fmus
 from cosim.cli.console import Format, FormatOption, emit, err, note, number, out, simulation_progress, warn
 from cosim.errors import CosimError, RunFailed, nearest
+from cosim.formats import convert, format_names
 from cosim.recording import read_channels
 from cosim.run import Progress, RunResult, RunSettings, simulate
 from cosim.ssp import read_mapping, read_parameters, read_system
@@ -106,6 +107,9 @@ def run(
         bool, typer.Option("--monolithic", help="All components as one FMU, integrated together: the exact coupling.")
     ] = False,
     isolate: IsolateOption = None,
+    also: Annotated[
+        str | None, typer.Option(metavar="FORMATS", help="Write the results in other formats too: csv,mat,outb.")
+    ] = None,
     output: FormatOption = Format.TEXT,
 ) -> None:
     """Co-simulate a load case and write results.parquet, summary.json, run.json and run.png.
@@ -125,6 +129,7 @@ def run(
         swap or (), map_ or (), set_ or (), ssv or (), seed, until, step, fmus, record or (), stepping, monolithic
     )
     quiet = output is Format.JSON
+    formats = () if also is None else format_names(also, "--also")
     with (
         simulation_progress(quiet) as progress,
         tempfile.TemporaryDirectory(prefix="fowt-", ignore_cleanup_errors=True) as unpacked,
@@ -139,10 +144,14 @@ def run(
         result = prepared.execute(folder, lambda t, *_: progress.update(task, completed=t))
     for line in result.warnings:
         (note if line.startswith("algebraic loop") else warn)(line)
-    if output is Format.JSON:
-        emit({"folder": str(result.folder), "status": result.status, "summary": result.summary})
-    else:
+    if not quiet:
         _show(result)
+    files = [str(path) for path in convert(result.folder, formats)] if formats else []
+    if quiet:
+        about_files = {"files": files} if files else {}
+        emit({"folder": str(result.folder), "status": result.status, "summary": result.summary, **about_files})
+    elif files:
+        out.print(f"also written: {', '.join(files)}", soft_wrap=True, markup=False)
     if result.status == "stopped":
         warn(result.message)
         raise typer.Exit(130)
