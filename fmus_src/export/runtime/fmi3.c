@@ -43,19 +43,19 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
     const allocator memory = {NULL, NULL};
     instance *m = create(name, token, 0, memory, environment, (void (*)(void))logger);
     if (!m) return NULL;
-    int failed = event_mode && report(m, "%s: event mode is not provided", function);
-    for (size_t i = 0; i < n_intermediate && !failed; i++) {
+    int failed = event_mode && report(m, "%s: event mode is not provided", function), inputs = 0;
+    for (size_t i = 0; i < n_intermediate && !failed; i++) { /* others than inputs are never offered for reading */
         const fmi3ValueReference vr = intermediate[i];
-        failed = !update || vr >= (unsigned)model.n_variables || model.variables[vr].role != INPUT
-                 || model.variables[vr].kind != REAL;
-        if (failed) report(m, "%s: within a step only real inputs can be set, by a callback", function);
+        if (vr >= (unsigned)(model.n_variables + model.n_strings)) failed = unknown(m, function, vr, intermediate);
+        else inputs |= vr < (unsigned)model.n_variables && model.variables[vr].role == INPUT;
     }
+    if (inputs && !update) failed = report(m, "%s: inputs within a step, but no callback to set them", function);
     if (failed) {
         destroy(m);
         return NULL;
     }
     m->update = (void (*)(void))update;
-    m->ask = n_intermediate ? ask : NULL;
+    m->ask = inputs ? ask : NULL;
     return m;
 }
 
