@@ -20,7 +20,8 @@ class NameRule:
     """What an FMU calls a variable of the system.
 
     Attributes:
-        variable: the system's name, within the component; with `target` "-" it may have wild cards * and ?.
+        variable: the system's name, within the component, of a scalar or of an array, whose elements then have the
+            indices that the FMU's array has; with `target` "-" it may have wild cards * and ?.
         target: the FMU's name, or "-" if it has no such variable: its connections are left out.
         factor, offset: FMU's value = factor * system's + offset, after conversion of the unit if `convert`.
     """
@@ -84,7 +85,7 @@ def _resolve(
     for n, unit in units.items():
         if unit is not None and n in new.variables and new.variables[n].unit is None:
             mapped[n] = Mapped(n, unit=unit, unitless=True)
-    for rule in rules:
+    for rule in [e for given in rules for e in _by_elements(name, given, known, new)]:
         if rule.target == NONE:
             found = {rule.variable} & known or {n for n in known if fnmatchcase(n, rule.variable.replace("[", "[[]"))}
         else:
@@ -106,6 +107,19 @@ def _resolve(
             rule.target, rule.factor, rule.offset, rule.convert, units.get(rule.variable), unitless
         )
     return {n: m for n, m in mapped.items() if n not in dropped}, dropped
+
+
+def _by_elements(name: str, rule: NameRule, known: set[str], new: Fmu) -> list[NameRule]:
+    """A rule for whole arrays as those for their elements."""
+    ours, theirs = ([n for n in names if n.startswith(f"{array}[")] for names, array in (
+        (sorted(known), rule.variable), (new.variables, rule.target)))  # fmt: skip
+    if rule.variable in known or rule.target in new.variables or not (ours and theirs):
+        return [rule]
+    if len(ours) != len(theirs):
+        raise CosimError(
+            f"map {name}.{rule.variable}={rule.target}: {len(ours)} elements to {len(theirs)}; map them one by one"
+        )
+    return [replace(rule, variable=rule.variable + n[len(rule.target) :], target=n) for n in theirs]
 
 
 def _refuse_missing(name: str, new: Fmu, wired: Sequence[str], mapped: Mapping[str, Mapped]) -> None:

@@ -14,6 +14,7 @@ from cosim.cli.run import Changes, prepare
 from cosim.errors import CosimError, RunFailed
 from cosim.fmu import read_fmu
 from cosim.run import RunSettings, simulate
+from cosim.swap import NameRule, with_swapped
 from cosim.system import ComponentInstance, Connection, StartValue, System
 from fmus_src.component import Component
 from fmus_src.export.build import build_fmu
@@ -131,6 +132,19 @@ def test_every_type_passes_from_array_to_array(foreign: Path, tmp_path: Path) ->
     record = tuple(f"b.out.{t}[{i}]" for t in TYPES for i in (1, 2))
     frame = simulate(system, RunSettings(stop=1.0, step=0.1, record=record), tmp_path / "run").frame()
     assert frame.iloc[-1].tolist() == [float(v) for t in TYPES for v in values_of(t)]
+
+
+def test_whole_arrays_are_mapped(foreign: Path, tmp_path: Path) -> None:
+    """The replaced FMU has the array under another name, and of single precision."""
+    start = {"in.Float64[1]": StartValue(0.1), "in.Float64[2]": StartValue(-2.0)}
+    parts = (ComponentInstance("a", foreign, start), ComponentInstance("b", foreign))
+    wires = tuple(Connection("a", f"out.Float64[{i}]", "b", f"in.Float64[{i}]") for i in (1, 2))
+    swapped = with_swapped(System("relays", parts, wires), "b", foreign, [NameRule("in.Float64", "in.Float32")])
+    settings = RunSettings(stop=1.0, step=0.1, record=("b.out.Float32*",))
+    frame = simulate(swapped, settings, tmp_path / "run").frame()
+    assert frame.iloc[-1].tolist() == [float(np.float32(0.1)), -2.0]
+    with pytest.raises(CosimError, match=r"map b.in.Float64: the system has no such variable; did you mean"):
+        with_swapped(System("relays", parts, wires), "b", foreign, [NameRule("in.Float64", "label")])
 
 
 @pytest.mark.parametrize(("intermediate", "tolerance"), [(True, 1e-12), (False, 1e-12)])
