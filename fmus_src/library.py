@@ -17,6 +17,8 @@ from typing import Any
 
 from platformdirs import user_cache_path
 
+from fmus_src.aero.machine import rotor_files
+from fmus_src.barge.turbine import FILES
 from fmus_src.component import Component
 from fmus_src.compose import Connection, compose
 from fmus_src.export.build import build_all, build_fmu, fmu_name
@@ -226,11 +228,15 @@ def _labels(arguments: Mapping[str, Any], digits: int = 8) -> list[str]:
 
 
 def _named_files(option: str, value: Any) -> list[Path]:
-    """The files that an argument names: one, or WAMIT's set by its root (`DIR/Barge`) or one of its files."""
+    """The files that an argument names: one, WAMIT's set by its root (`DIR/Barge`) or one of its files, or those of a
+    rotor or turbine."""
     # A number is none, nor is the name of a packaged database, whatever lies in the working folder.
     if not isinstance(value, str | Path) or (option == "database" and str(value) in PACKAGED):
         return []
     path = Path(value)
+    if option in ("rotor", "turbine"):
+        files = rotor_files(path) if option == "rotor" else [path / name for name in FILES]
+        return sorted({file for file in files if file.is_file()})
     root = path.with_suffix("") if path.suffix in WAMIT else path
     candidates = {path, *(root.with_name(root.name + suffix) for suffix in WAMIT if root.name)}
     return sorted(p for p in candidates if p.is_file())

@@ -19,14 +19,14 @@ import casadi as ca
 import numpy as np
 
 SPEED_OF_SOUND = 335.0
+# The source's values of what a section may have its own of (`polars.StallConstants`); T_V = 2 T_F.
 A1, A2, B1, B2 = 0.3, 0.7, 0.14, 0.53
-# T_V = 2 T_F is used below, so that three decays are powers of one.
 T_P, T_F, T_VL, STROUHAL = 1.7, 3.0, 11.0, 0.19
 #: Reduced frequency of the low-pass on the angle of attack.
 FILTER_CUT_OFF = 0.5
 #: Gonzalez' offset of the chord force's separation factor, which lets it change sign.
 CHORD_OFFSET = 0.2
-#: The model fades into the static coefficients between these angles of attack.
+#: The model fades into the static coefficients between these angles of attack, rad.
 FADE = (np.radians(40.0), np.radians(45.0))
 LEAST_SPEED = 1.0
 #: Linearised compressible flow ends below the speed of sound; a runaway rotor keeps the value here.
@@ -35,19 +35,25 @@ LARGEST_MACH = 0.9
 
 @dataclass(frozen=True)
 class Aerofoil:
-    """Constants of a section.
-
-    Attributes:
-        alpha_0: angle of no lift, rad. slope: of the normal force in attached flow, 1/rad. drag_0: drag at no lift.
-        stall, negative_stall: normal force at which the leading edge separates.
-        chord: m.
-    """
+    """Constants of a section: those of `polars.StallConstants`, and its chord, m."""
 
     alpha_0: Any
     slope: Any
     drag_0: Any
     stall: Any
     negative_stall: Any
+    T_p: Any
+    T_f: Any
+    T_v: Any
+    T_vl: Any
+    strouhal: Any
+    A1: Any
+    A2: Any
+    b1: Any
+    b2: Any
+    filter_cut_off: Any
+    fade_from: Any
+    cut_out: Any
     chord: Any
 
 
@@ -129,7 +135,7 @@ def attached_flow(s: Aerofoil, old: Attached, started: Any, alpha: Any, speed: A
     slope = s.slope / beta
     ds = 2.0 * U * dt / s.chord
 
-    keep = ca.exp(-2.0 * dt * FILTER_CUT_OFF * U / s.chord)
+    keep = ca.exp(-2.0 * dt * s.filter_cut_off * U / s.chord)
     alpha_old = _if(started, old.alpha, alpha)
     filtered = keep * alpha_old + (1.0 - keep) * alpha
     change = filtered - alpha_old
@@ -139,22 +145,22 @@ def attached_flow(s: Aerofoil, old: Attached, started: Any, alpha: Any, speed: A
     K_alpha = q_filtered * U / s.chord
     K_q = keep * old.K_q + (1.0 - keep) * (q - q_old) / dt
 
-    weight = A1 * B1 + A2 * B2
+    weight = s.A1 * s.b1 + s.A2 * s.b2
     impulse_alpha = 0.75 * s.chord / SPEED_OF_SOUND / (1.0 - M + 0.5 * s.slope * M**2 * beta * weight)
     impulse_q = 0.75 * s.chord / SPEED_OF_SOUND / (1.0 - M + s.slope * M**2 * beta * weight)
     K1_alpha = _indicial(old.K1_alpha, K_alpha - old.K_alpha, dt / impulse_alpha)  # 1.18
     K1_q = _indicial(old.K1_q, K_q - old.K_q, dt / impulse_q)  # 1.19
     impulsive = (4.0 * impulse_alpha * (K_alpha - K1_alpha) - impulse_q * (K_q - K1_q)) / M
 
-    fade_1, fade_2 = ca.exp(-0.5 * ds * squared * B1), ca.exp(-0.5 * ds * squared * B2)
+    fade_1, fade_2 = ca.exp(-0.5 * ds * squared * s.b1), ca.exp(-0.5 * ds * squared * s.b2)
     turn = q_filtered - q_filtered_old
-    X1, X2 = (x * e**2 + a * change * e for x, e, a in ((old.X1, fade_1, A1), (old.X2, fade_2, A2)))  # 1.15
-    X3, X4 = (x * e**2 + a * turn * e for x, e, a in ((old.X3, fade_1, A1), (old.X4, fade_2, A2)))  # 1.16
+    X1, X2 = (x * e**2 + a * change * e for x, e, a in ((old.X1, fade_1, s.A1), (old.X2, fade_2, s.A2)))  # 1.15
+    X3, X4 = (x * e**2 + a * turn * e for x, e, a in ((old.X3, fade_1, s.A1), (old.X4, fade_2, s.A2)))  # 1.16
     effective = filtered - s.alpha_0 - X1 - X2  # 1.14
     circulatory = slope * effective
     turning = 0.5 * slope * q_filtered - X3 - X4
     potential = circulatory + impulsive
-    D_p = _indicial(old.D_p, potential - _if(started, old.N_potential, potential), ds / T_P)  # 1.35
+    D_p = _indicial(old.D_p, potential - _if(started, old.N_potential, potential), ds / s.T_p)  # 1.35
     lagged = potential - D_p
     flow = Flow(ds, slope, circulatory, impulsive, turning, lagged / slope + s.alpha_0)
     return flow, Attached(
@@ -181,7 +187,7 @@ def separated_flow(
     limit = 1.0 + CHORD_OFFSET
     ratio = ca.fmin(ca.fmax(_ratio(chordwise, line * lagged) + CHORD_OFFSET, -limit), limit)
     f_chord = ratio**2
-    slow = ca.exp(-0.25 * flow.ds / T_F)
+    slow, slow_vortex = ca.exp(-0.25 * flow.ds / s.T_f), ca.exp(-0.5 * flow.ds / s.T_v)
     half = _if(before.sigma > 1.5, slow**4, _if(before.sigma < 0.75, slow, slow**2))
     D_f = _decayed(before.D_f, f - _if(started, before.f, f), half)  # 1.36
     D_f_chord = _decayed(before.D_f_chord, f_chord - _if(started, before.f_chord, f_chord), slow**2)
@@ -189,9 +195,9 @@ def separated_flow(
 
     loss = ((1.0 + 2.0 * ca.sqrt(f2)) / 3.0) ** 2  # 1.39
     vortex_feed = flow.circulatory * (1.0 - loss)  # 1.50
-    gone = ca.logic_and(before.tau > T_VL, now.K_alpha * (now.alpha - s.alpha_0) > 0)
-    grown = _decayed(before.N_vortex, vortex_feed - before.vortex_feed, slow)  # 1.47
-    N_vortex = _if(started, ca.fmax(_if(gone, before.N_vortex * slow**4, grown), 0.0), 0.0)
+    gone = ca.logic_and(before.tau > s.T_vl, now.K_alpha * (now.alpha - s.alpha_0) > 0)
+    grown = _decayed(before.N_vortex, vortex_feed - before.vortex_feed, slow_vortex)  # 1.47
+    N_vortex = _if(started, ca.fmax(_if(gone, before.N_vortex * slow_vortex**4, grown), 0.0), 0.0)
     N = flow.impulsive + flow.turning + flow.circulatory * loss + _if(before.tau > 0, N_vortex, 0.0)
     C = flow.circulatory * alpha * (ca.sqrt(f2_chord) - CHORD_OFFSET)  # 1.40
     cos, sin = ca.cos(alpha), ca.sin(alpha)
@@ -200,9 +206,12 @@ def separated_flow(
     return lift, drag, Separated(f, D_f, f_chord, D_f_chord, vortex_feed, N_vortex, tau, sigma)
 
 
-def fade(alpha: Any) -> Any:
-    """Share of the model in the coefficients, 1 up to moderate angles of attack and 0 in deep stall."""
-    low, high = FADE
+def fade(alpha: Any, low: Any = FADE[0], high: Any = FADE[1]) -> Any:
+    """Share of the model in the coefficients, 1 up to moderate angles of attack and 0 in deep stall.
+
+    Args:
+        low, high: angles of attack between which it falls, rad.
+    """
     return ca.fmin(ca.fmax((high - ca.fabs(alpha)) / (high - low), 0.0), 1.0)
 
 
@@ -211,13 +220,13 @@ def _vortex(s: Aerofoil, old: tuple[Attached, Separated], ds: Any, lagged: Any, 
     tau = old[1].tau
     leading_edge = ca.logic_or(lagged > s.stall, lagged < s.negative_stall)
     growing = ca.fabs(lagged) > ca.fabs(old[0].N_lagged)
-    over_chord = ca.logic_and(tau <= T_VL, tau > 0)
+    over_chord = ca.logic_and(tau <= s.T_vl, tau > 0)
     fast = ca.logic_and(growing, ca.logic_or(leading_edge, over_chord))
     slow = ca.logic_and(ca.logic_not(growing), ca.logic_not(leading_edge))
     sigma = _if(fast, 2.0, _if(slow, 0.5, 1.0))
-    shed = T_VL + 2.0 * (1.0 - f2) / STROUHAL  # 1.54
+    shed = s.T_vl + 2.0 * (1.0 - f2) / s.strouhal  # 1.54
     idle = ca.logic_and(ca.logic_not(leading_edge), ca.logic_not(over_chord))
-    ended = ca.logic_and(ca.logic_not(growing), ca.logic_or(tau < 1e-4, tau + ds > 2.0 * T_VL))
+    ended = ca.logic_and(ca.logic_not(growing), ca.logic_or(tau < 1e-4, tau + ds > 2.0 * s.T_vl))
     later = tau + ds
     later = _if(ca.logic_and(later >= shed, growing), later - shed, later)
     return sigma, _if(ca.logic_or(idle, ended), 0.0, later)

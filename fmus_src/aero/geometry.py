@@ -1,10 +1,10 @@
-"""Rotor geometry and section coefficients of the 5-MW turbine, from this folder's data files."""
+"""Rotor geometry, stations and sections: the 5-MW turbine's, or another's from a folder of the same form."""
 
 from __future__ import annotations
 
 import math
 import tomllib
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -12,11 +12,29 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from fmus_src.aero.polars import CYLINDER, DRAG, LIFT, LIFT_SLOPE, MOMENT, Polar, StallConstants, tabulated
+
+__all__ = [
+    "DRAG",
+    "LIFT",
+    "LIFT_SLOPE",
+    "MOMENT",
+    "Rotor",
+    "aerofoil_constants",
+    "read_rotor",
+    "rotor",
+    "section_tables",
+]
+
 Array = npt.NDArray[np.float64]
 
 _DATA = Path(__file__).parent / "data"
-#: Columns of the section tables.
-LIFT, DRAG, MOMENT, LIFT_SLOPE = range(4)
+BLADES = 3
+_BLADE = ("span", "chord", "twist_deg", "offset_downwind", "offset_trailing", "section")
+_CONSTANTS = {
+    "alpha_0_deg": "alpha_0", "normal_force_slope": "slope", "drag_0": "drag_0", "stall_normal_force": "stall",
+    "negative_stall_normal_force": "negative_stall",
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +49,10 @@ class Rotor:
         chord: m (n,).
         twist: rad (n,), positive towards feather.
         offset: quarter-chord point off the pitch axis at zero pitch: downwind, towards the trailing edge, m (n, 2).
-        section: index of each station's section in `section_tables` (n,).
+        prebend: slope of the undeflected blade's axis out of the rotor's plane, rad (n,), positive downwind.
+        section: index of each station's section in `polars` (n,).
+        polars: of the sections.
+        name: what it was read from; note: what a reader should know of it.
     """
 
     blades: int
@@ -42,7 +63,25 @@ class Rotor:
     chord: Array
     twist: Array
     offset: Array
+    prebend: Array
     section: npt.NDArray[np.int_]
+    polars: tuple[Polar, ...]
+    name: str = "NREL 5-MW"
+    note: str = ""
+
+    def __post_init__(self) -> None:
+        if self.blades != BLADES:
+            raise ValueError(f"aero: {self.name}: {self.blades} blades; this rotor has {BLADES}")
+        if self.span.size < 4 or self.span[0] < 0.0 or not np.all(np.diff(self.span) > 0.0):
+            raise ValueError(f"aero: {self.name}: give 4 or more stations whose span rises from 0 or more")
+        if not np.all(self.chord > 0.0):
+            raise ValueError(f"aero: {self.name}: chord must be above 0 at every station")
+        if not 0.0 < self.hub_radius < math.inf:
+            raise ValueError(f"aero: {self.name}: hub_radius {self.hub_radius:g} m must be a finite number above 0")
+        if not abs(self.precone) < 0.5 * math.pi:
+            raise ValueError(f"aero: {self.name}: precone of {math.degrees(self.precone):g} deg; give less than 90 deg")
+        if not self.tip_radius >= self.hub_radius + self.span[-1]:
+            raise ValueError(f"aero: {self.name}: tip_radius {self.tip_radius:g} m is within the last station")
 
     @property
     def radius(self) -> Array:
@@ -56,7 +95,8 @@ class Rotor:
         Exact in force and moment for loads that vary linearly between stations.
         """
         matrix = np.zeros((self.span.size, self.span.size))
-        for i, length in enumerate(np.diff(self.span)):
+        slope = np.tan(0.5 * (self.prebend[1:] + self.prebend[:-1]))
+        for i, length in enumerate(np.diff(self.span) * np.sqrt(1.0 + slope**2)):
             matrix[i : i + 2, i : i + 2] += length / 6.0 * np.array([[2.0, 1.0], [1.0, 2.0]])
         return matrix
 
@@ -84,52 +124,76 @@ class Rotor:
 
 @cache
 def rotor() -> Rotor:
-    """The published rotor (data/blade.toml)."""
-    d = tomllib.loads((_DATA / "blade.toml").read_text(encoding="utf-8"))
-    names = list(_sections())
-    return Rotor(
-        blades=d["blades"],
-        tip_radius=d["tip_radius"],
-        hub_radius=d["hub_radius"],
-        precone=math.radians(d["precone_deg"]),
-        span=np.array(d["span"], dtype=float),
-        chord=np.array(d["chord"], dtype=float),
-        twist=np.radians(d["twist_deg"]),
-        offset=np.column_stack([d["offset_downwind"], d["offset_trailing"]]),
-        section=np.array([names.index(s) for s in d["section"]]),
-    )
+    """The published rotor (data/blade.toml, data/sections.toml)."""
+    return read_rotor(_DATA, Rotor.name)
+
+
+def read_rotor(folder: Path, name: str | None = None) -> Rotor:
+    """A rotor from `blade.toml` and `sections.toml` of a folder, in the form of this package's own (`data/`).
+
+    Raises:
+        ValueError: a file or an entry is missing, or of the wrong kind.
+    """
+    d, sections = _read(folder / "blade.toml"), _read(folder / "sections.toml")
+    try:
+        names = list(dict.fromkeys(d["section"]))  # in the order of their first station
+        columns = {key: np.array(d[key], dtype=float) for key in _BLADE if key != "section"}
+        if {len(d[key]) for key in _BLADE} != {len(d["span"])}:
+            raise ValueError(f"{', '.join(_BLADE)} must have as many entries as there are stations")
+        return Rotor(
+            blades=d["blades"],
+            tip_radius=float(d["tip_radius"]),
+            hub_radius=float(d["hub_radius"]),
+            precone=math.radians(d["precone_deg"]),
+            span=columns["span"],
+            chord=columns["chord"],
+            twist=np.radians(columns["twist_deg"]),
+            offset=np.column_stack([columns["offset_downwind"], columns["offset_trailing"]]),
+            prebend=np.radians(np.array(d.get("prebend_deg", [0.0] * len(d["span"])), dtype=float)),
+            section=np.array([names.index(s) for s in d["section"]]),
+            polars=tuple(_polar(section, sections[section]) for section in names),
+            name=name or folder.name,
+        )
+    except KeyError as error:
+        raise ValueError(f"aero: {folder}: blade.toml or sections.toml lacks {error}") from None
+    except (TypeError, ValueError) as error:
+        text = str(error)
+        raise ValueError(text if text.startswith("aero:") else f"aero: {folder / 'blade.toml'}: {text}") from None
+
+
+def section_tables(r: Rotor | None = None, points_per_degree: int = 2) -> tuple[Array, float, float]:
+    """Coefficients of a rotor's sections (default: the published one's), see `polars.tabulated`."""
+    return _tables(r or rotor(), points_per_degree)
 
 
 @cache
-def section_tables(points_per_degree: int = 2) -> tuple[Array, float, float]:
-    """Section coefficients on a uniform grid of angles of attack from -180 to 180 deg (data/sections.toml).
-
-    Returns:
-        data (sections, points, 4) with columns LIFT, DRAG, MOMENT, LIFT_SLOPE (1/rad); first angle and spacing, rad.
-    """
-    degrees = np.linspace(-180.0, 180.0, 360 * points_per_degree + 1)
-    spacing = math.radians(1.0 / points_per_degree)
-    tables = []
-    for section in _sections().values():
-        published = np.array([np.interp(degrees, section["alpha_deg"], section[k]) for k in ("lift", "drag", "moment")])
-        tables.append(np.vstack([published, np.gradient(published[LIFT], spacing)]).T)
-    return np.array(tables), -math.pi, spacing
+def _tables(r: Rotor, points_per_degree: int) -> tuple[Array, float, float]:
+    return tabulated(r.polars, points_per_degree)
 
 
 def aerofoil_constants(r: Rotor) -> dict[str, Array]:
-    """Constants of the unsteady model at the stations of one blade, (n,) each; harmless ones for cylinders."""
-    sections = list(_sections().values())
-    names = ("alpha_0_deg", "normal_force_slope", "drag_0", "stall_normal_force", "negative_stall_normal_force")
-    cylinder = (0.0, 2.0 * math.pi, 0.0, 1.0, -1.0)
-    rows = [[sections[s].get(n, o) for n, o in zip(names, cylinder, strict=True)] for s in r.section]
-    alpha_0, slope, drag_0, stall, negative_stall = np.array(rows, dtype=float).T
+    """Constants of the unsteady model at the stations of one blade, (n,) each; harmless ones where it has none."""
+    own = [r.polars[s].unsteady for s in r.section]
+    names = [f.name for f in fields(StallConstants)]
     return {
-        "aerofoil": np.array([float("normal_force_slope" in sections[s]) for s in r.section]),
-        "alpha_0": np.radians(alpha_0), "slope": slope, "drag_0": drag_0, "stall": stall,
-        "negative_stall": negative_stall,
-    }  # fmt: skip
+        "aerofoil": np.array([float(u is not None) for u in own]),
+        **{name: np.array([getattr(u or CYLINDER, name) for u in own]) for name in names},
+    }
 
 
-@cache
-def _sections() -> dict[str, Any]:
-    return tomllib.loads((_DATA / "sections.toml").read_text(encoding="utf-8"))
+def _polar(name: str, section: dict[str, Any]) -> Polar:
+    alpha, lift, drag, moment = (np.array(section[key], dtype=float) for key in ("alpha_deg", "lift", "drag", "moment"))
+    if not lift.size == drag.size == moment.size == alpha.size or not np.all(np.diff(alpha) > 0.0):
+        raise ValueError(f"aero: section {name}: alpha_deg must rise, and lift, drag and moment have as many entries")
+    unsteady = None
+    if "normal_force_slope" in section:
+        known = {field: float(section[key]) for key, field in _CONSTANTS.items()}
+        unsteady = StallConstants(**(known | {"alpha_0": math.radians(known["alpha_0"])}))
+    return Polar(name, np.radians(alpha), lift, drag, moment, unsteady)
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ValueError(f"aero: {path} cannot be read ({str(error).splitlines()[0]})") from None

@@ -2,8 +2,8 @@
 
 Frames. Shaft: x along the shaft, downwind; z up at rest; not rotating. Blade "c": z along the undeflected coned blade
 outwards, x downwind, y completing a right-handed frame (towards the trailing edge); it does not pitch. Local: "c"
-turned about y by the blade's out-of-plane slope, in which momentum theory and sections work (AeroDyn's frame without
-sweep, pitch and twist).
+turned about y by the blade's out-of-plane slope, prebend included, in which momentum theory and sections work
+(AeroDyn's frame without sweep, pitch and twist).
 """
 
 from __future__ import annotations
@@ -45,13 +45,17 @@ class HubMotion:
 
 @dataclass(frozen=True)
 class Place:
-    """Constants of a station: distance from the root and quarter chord off the pitch axis (m), twist, mode shapes."""
+    """Constants of a station: distance from the root and quarter chord off the pitch axis (m), twist, mode shapes.
+
+    `bent`: slope of the undeflected blade's axis, dx/dz.
+    """
 
     arm: Any
     down: Any
     trail: Any
     cos_twist: Any
     sin_twist: Any
+    bent: Any
     shape_x: Any
     shape_y: Any
     slope_x: Any
@@ -145,8 +149,9 @@ def declare_motion(c: Component, blades: int) -> HubMotion:
 def places(r: Rotor, shapes: BladeShapes) -> Any:
     """Constants of the stations of one blade, (PLACE.size, n)."""
     rows = [
-        r.span[None], r.offset.T, np.cos(r.twist)[None], np.sin(r.twist)[None], shapes.shape[:, 0].T,
-        shapes.shape[:, 1].T, shapes.slope[:, 0].T, shapes.slope[:, 1].T, shapes.shortening.reshape(-1, 9).T,
+        r.span[None], r.offset.T, np.cos(r.twist)[None], np.sin(r.twist)[None], np.tan(r.prebend)[None],
+        shapes.shape[:, 0].T, shapes.shape[:, 1].T, shapes.slope[:, 0].T, shapes.slope[:, 1].T,
+        shapes.shortening.reshape(-1, 9).T,
     ]  # fmt: skip
     return ca.DM(np.vstack(rows))
 
@@ -190,9 +195,9 @@ def station_motion(r: Rotor, blades: Any, place: Any) -> Any:
         cp, sp, q = b.cos_pitch, b.sin_pitch, b.deflection
         shape_x, shape_y = cp * s.shape_x + sp * s.shape_y, cp * s.shape_y - sp * s.shape_x
         drawn_in = ca.reshape(s.shortening, 3, 3) @ q
-        slope = cp * ca.dot(s.slope_x, q) + sp * ca.dot(s.slope_y, q)
-        sweep = cp * ca.dot(s.slope_y, q) - sp * ca.dot(s.slope_x, q)
-        # A beam that bends both ways without torsion turns about its axis, in the frame that leaves its sweep out.
+        out_of_plane, in_plane = s.bent + ca.dot(s.slope_x, q), ca.dot(s.slope_y, q)
+        slope, sweep = cp * out_of_plane + sp * in_plane, cp * in_plane - sp * out_of_plane
+        # A beam that is bent both ways without torsion turns about its axis, in the frame that leaves its sweep out.
         cos_turn, sin_turn = ca.cos(0.5 * slope * sweep), -ca.sin(0.5 * slope * sweep)
         cos_angle, sin_angle = s.cos_twist * cp - s.sin_twist * sp, s.sin_twist * cp + s.cos_twist * sp
         position = ca.vertcat(

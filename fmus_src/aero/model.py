@@ -9,6 +9,7 @@ blade after blade.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -17,16 +18,36 @@ import numpy as np
 from fmus_src.aero import kinematics as kin
 from fmus_src.aero import momentum, tower
 from fmus_src.aero import sections as sec
-from fmus_src.aero.geometry import Array, Rotor, aerofoil_constants, rotor, section_tables
+from fmus_src.aero.geometry import Array, Rotor, aerofoil_constants, section_tables
 from fmus_src.aero.loads import HeldOutputs, blade_load, declare_rotor_loads
+from fmus_src.aero.machine import Figures, machine
 from fmus_src.aero.stations import each
-from fmus_src.aero.wind import REFERENCE_HEIGHT, wind_at
-from fmus_src.barge.blade import blade_structure, mode_shapes
+from fmus_src.aero.wind import wind_at
+from fmus_src.barge.turbine import Turbine
 from fmus_src.component import Component
 
 
-def component() -> Component:
-    """The rotor of the 5-MW turbine, and its tower as far as the air is concerned."""
+def component(
+    rotor: str | Path | Rotor | None = None,
+    turbine: str | Path | Turbine | None = None,
+    hub_radius: float | None = None,
+    precone_deg: float | None = None,
+    reynolds: float | None = None,
+    user_property: float | None = None,
+) -> Component:
+    """The rotor, and the tower as far as the air is concerned; by default the NREL 5-MW turbine's.
+
+    Args:
+        rotor: AeroDyn's primary file, from which and from the files that it names stations and polars are taken; or a
+            folder of `blade.toml` and `sections.toml` in the form of this package's own (`data/`).
+        turbine: folder of the structure that carries it (blade modes, tower, hub height), as the barge component's.
+        hub_radius, precone_deg: m, deg, negative upwind: AeroDyn's files have neither (default: the turbine's).
+        reynolds, user_property: where polars have several tables, at which Reynolds number or property they are used.
+
+    Raises:
+        ValueError: a file is missing or malformed, or rotor, turbine and figures do not fit together.
+    """
+    found = machine(rotor, turbine, Figures(hub_radius, precone_deg, reynolds, user_property))
     c = Component(
         "aero",
         "Rotor aerodynamics by blade-element momentum theory with dynamic inflow and dynamic stall",
@@ -34,18 +55,19 @@ def component() -> Component:
         sample_time=sec.SAMPLE_TIME,
         sample_at_start=True,
     )
-    r, t = rotor(), tower.tower()
+    r, t = found.rotor, found.tower
     m = kin.declare_motion(c, r.blades)
     radial = kin.radial_directions(r, m.azimuth)
     blades = c.intermediate("blades", ca.horzcat(*[kin.blade_motion(r, m, k, radial[k]) for k in range(r.blades)]))
-    place = kin.places(r, mode_shapes(blade_structure(), np.minimum(r.span, blade_structure().length)))
+    place = kin.places(r, found.shapes)
     motion = c.intermediate("motion", kin.station_motion(r, _of_each_blade(r, blades), ca.repmat(place, 1, r.blades)))
     support = c.intermediate("support", tower.declare_support(c))
     strips = c.intermediate("strips", tower.strip_motion(support, tower.strips(t)))
 
     points = motion[kin.MOTION.rows("point"), :]
-    mast = ca.DM([0.0, 0.0, REFERENCE_HEIGHT])
-    wind = c.intermediate("wind", wind_at(c, ca.horzcat(points, mast, strips[tower.STRIP_MOTION.rows("point"), :])))
+    mast = ca.DM([0.0, 0.0, found.hub_height])
+    places = ca.horzcat(points, mast, strips[tower.STRIP_MOTION.rows("point"), :])
+    wind = c.intermediate("wind", wind_at(c, places, found.hub_height))
     stations, hub = slice(0, points.shape[1]), points.shape[1]
     air = tower.declare_air(c, t)
     at_blades = c.intermediate("disturbed_wind", tower.disturbed(t, air, support, points, wind[:, stations]))
@@ -56,8 +78,14 @@ def component() -> Component:
     loads = [blade_load(r, motion[:, _of(r, k)], per_length[:, _of(r, k)]) for k in range(r.blades)]
     declare_rotor_loads(held, r, m, blades, loads)
     tower.declare_loads(held, tower.drag(t, air, support, strips, wind[:, hub + 1 :]))
-    held("wind_speed_hub", wind[0, hub], "m/s", "wind along X at (0, 0, 90 m), where the undisplaced hub is")
+    held(
+        "wind_speed_hub",
+        wind[0, hub],
+        "m/s",
+        f"wind along X at (0, 0, {found.hub_height:g} m), where the undisplaced hub is",
+    )
     held("rotor_averaged_wind", flow.mean_wind, "m/s", "wind along the shaft, area average")
+    c.description = ". ".join([c.description, *(fact[:1].upper() + fact[1:] for fact in found.facts)])
     return c
 
 
@@ -164,7 +192,7 @@ def _elements(r: Rotor) -> Any:
 
 def _section_table(c: Component, r: Rotor, name: str, columns: tuple[int, ...], alpha: Any) -> Any:
     """Section coefficients at angles of attack (1, k n), the stations once or several times over; (columns, k n)."""
-    data, first, spacing = section_tables()
+    data, first, spacing = section_tables(r)
     which = np.tile(r.section, alpha.shape[1] // r.span.size).tolist()
     return c.table(name, data[:, :, columns], first, spacing, which, alpha.T).T
 

@@ -9,8 +9,8 @@ import casadi as ca
 
 from fmus_src.aero import momentum
 from fmus_src.aero.dynamic_stall import Aerofoil, Attached, Flow, Separated, attached_flow, fade, separated_flow
-from fmus_src.aero.geometry import DRAG, LIFT, LIFT_SLOPE, MOMENT
 from fmus_src.aero.kinematics import MOTION
+from fmus_src.aero.polars import DRAG, LIFT, LIFT_SLOPE, MOMENT
 from fmus_src.aero.stations import Layout
 
 SAMPLE_TIME = 0.0125
@@ -101,7 +101,7 @@ ELEMENT, UNDISTURBED, WAKE, ROTOR_STATE, SECTION = (
 )  # fmt: skip
 ATTACHED, SEPARATED = Layout(Attached), Layout(Separated)
 STATION_FLOW = Layout(StationFlow, wake=WAKE.size, section=SECTION.size, attached=ATTACHED.size)
-#: Columns of `geometry.section_tables` for the induction step, and for the forces.
+#: Columns of `polars.tabulated` for the induction step, and for the forces.
 INDUCTION_COLUMNS, FORCE_COLUMNS = (LIFT, LIFT_SLOPE), (LIFT, DRAG, MOMENT)
 
 
@@ -167,7 +167,7 @@ def forces(
     lift, drag, memory = separated_flow(
         e, memories, ROTOR_STATE.unpack(state).started, f, now, f.alpha, (lagged[0], lagged[1])
     )
-    share = switches[0] * e.aerofoil * fade(f.alpha)
+    share = switches[0] * e.aerofoil * fade(f.alpha, e.fade_from, e.cut_out)
     lift = static[0] + share * (lift - static[0])
     drag = static[1] + share * (drag - static[1])
     pressure = 0.5 * switches[1] * e.chord * f.speed

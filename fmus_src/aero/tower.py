@@ -7,10 +7,7 @@ undeflected axis passes through. The tower's air inputs and loads refer to that 
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass
-from functools import cache
-from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -18,7 +15,8 @@ import numpy as np
 
 from fmus_src.aero.loads import HeldOutputs
 from fmus_src.aero.stations import Layout, each, either
-from fmus_src.barge.tower_shapes import TowerAxis, tower_axis
+from fmus_src.barge.tower_shapes import TowerAxis
+from fmus_src.barge.turbine import Turbine, nrel_5mw_barge
 from fmus_src.component import Component
 
 STRIPS = 8
@@ -36,11 +34,18 @@ class Tower:
     drag_coefficient: float
 
 
-@cache
-def tower() -> Tower:
-    """The tower of the 5-MW turbine (data/tower.toml)."""
-    figures = tomllib.loads((Path(__file__).parent / "data" / "tower.toml").read_text(encoding="utf-8"))
-    return Tower(tower_axis(), **figures)
+def tower(turbine: Turbine | None = None) -> Tower:
+    """The tower of a turbine (default: the 5-MW turbine's) as the air meets it.
+
+    Raises:
+        ValueError: the turbine's figures lack its diameters.
+    """
+    t = turbine or nrel_5mw_barge()
+    names = ("base_diameter", "top_diameter", "drag_coefficient")
+    for name in names:
+        if not float(t.tower_air.get(name, 0.0)) > 0.0:
+            raise ValueError(f"aero: turbine.toml: [tower] needs {name}, above 0, of the tower as the air meets it")
+    return Tower(t.tower_axis, *(float(t.tower_air[name]) for name in names))
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ origin at mean sea level.
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -14,18 +15,22 @@ import casadi as ca
 from fmus_src.barge.assembly import Loads, State, equations_of_motion
 from fmus_src.barge.outputs import declare_outputs
 from fmus_src.barge.parameters import Parameters, declare_parameters
-from fmus_src.barge.turbine import Turbine, nrel_5mw_barge
+from fmus_src.barge.turbine import Turbine, load, nrel_5mw_barge
 from fmus_src.component import Component
 
 
-def component(turbine: Turbine | None = None) -> Component:
+def component(turbine: Turbine | str | Path | None = None) -> Component:
     """The floating turbine's structure; by default the NREL 5-MW turbine on the ITI Energy barge.
 
     Args:
-        turbine: figures and tower constants, `fmus_src.barge.turbine.load(folder)` for another machine.
+        turbine: figures and tower constants of another machine, or the folder of its `turbine.toml`, `tower.csv` and
+            `blade.csv` in the form of this package's own (`data/`).
+
+    Raises:
+        ValueError: as `fmus_src.barge.turbine.load`.
     """
     c = Component("barge", "Floating barge, tower, nacelle, rotor and drivetrain: structural dynamics")
-    figures = turbine or nrel_5mw_barge()
+    figures = turbine if isinstance(turbine, Turbine) else load(Path(turbine)) if turbine else nrel_5mw_barge()
     p = declare_parameters(c, figures)
     loads = _declare_loads(c)
     state = _declare_states(c, p)

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass
-from functools import cache
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from numpy.polynomial import Polynomial
-
-from fmus_src.barge.blade import DATA
 
 Array = npt.NDArray[np.float64]
 
@@ -55,8 +51,6 @@ class TowerAxis:
         )
 
 
-@cache
-def tower_axis() -> TowerAxis:
-    """The tower of the NREL 5-MW turbine on the barge, from this folder's data files."""
-    figures: dict[str, Any] = tomllib.loads((DATA / "turbine.toml").read_text(encoding="utf-8"))["tower"]
+def read_tower_axis(figures: dict[str, Any]) -> TowerAxis:
+    """The axis from the section [tower] of a turbine's figures."""
     return TowerAxis(figures["height"], figures["base_height"], np.array([*figures["fore_aft"], *figures["side"]]))

@@ -14,8 +14,14 @@ import numpy.typing as npt
 from fmus_src.barge.beam import stations
 from fmus_src.barge.blade import DATA, Blade, read_blade
 from fmus_src.barge.tower import Tower, read_tower
+from fmus_src.barge.tower_shapes import TowerAxis, read_tower_axis
 
 Array = npt.NDArray[np.float64]
+
+#: Files of a turbine's folder.
+FILES = ("turbine.toml", "tower.csv", "blade.csv")
+#: What only the air needs to know of the tower.
+TOWER_AIR = ("base_diameter", "top_diameter", "drag_coefficient")
 
 
 @dataclass(frozen=True)
@@ -26,6 +32,7 @@ class Turbine:
         platform, nacelle, rotor, drivetrain: figures of the sections of `data/turbine.toml`.
         damping_ratio: of the tower's modes.
         tower, blade: the flexible members.
+        tower_axis: the tower's modes, for loads along it. tower_air: TOWER_AIR as far as given, m, m, -.
     """
 
     platform: dict[str, Any]
@@ -35,6 +42,8 @@ class Turbine:
     damping_ratio: float
     tower: Tower
     blade: Blade
+    tower_axis: TowerAxis
+    tower_air: dict[str, Any]
 
     @property
     def cone(self) -> float:
@@ -58,6 +67,11 @@ class Turbine:
         """Rotor apex from the tower top, nacelle frame, m, (3,)."""
         return np.array([0.0, 0.0, self.nacelle["tower_top_to_shaft"]]) + self.rotor["overhang"] * self.shaft_axis
 
+    @property
+    def hub_height(self) -> float:
+        """Height of the rotor apex above mean sea level at rest, m, to a centimetre."""
+        return round(float(self.tower.base_height + self.tower.length + self.apex[2]), 2)
+
 
 @cache
 def nrel_5mw_barge() -> Turbine:
@@ -69,16 +83,40 @@ def load(folder: Path) -> Turbine:
     """Read `turbine.toml`, `tower.csv` and `blade.csv` of a folder.
 
     Raises:
-        ValueError: a section is missing from the TOML file, or a table's stations do not run from 0 to 1.
+        ValueError: a file, a section or an entry is missing, or a table's stations do not run from 0 to 1.
     """
-    figures = tomllib.loads((folder / "turbine.toml").read_text(encoding="utf-8"))
-    sections = ("platform", "nacelle", "rotor", "drivetrain")
-    for section in ("tower", "blade", *sections):
+    try:
+        figures = _checked(folder, _figures(folder))
+        return Turbine(
+            **{section: figures[section] for section in ("platform", "nacelle", "rotor", "drivetrain")},
+            damping_ratio=figures["tower"]["damping_ratio"],
+            tower=read_tower(figures["tower"], stations(folder / "tower.csv")),
+            blade=read_blade(figures, folder / "blade.csv"),
+            tower_axis=read_tower_axis(figures["tower"]),
+            tower_air={name: figures["tower"][name] for name in TOWER_AIR if name in figures["tower"]},
+        )
+    except OSError as error:
+        raise ValueError(f"barge: {error.filename} cannot be read; a turbine's folder has {', '.join(FILES)}") from None
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"barge: {folder / 'turbine.toml'}: {error}") from None
+    except KeyError as error:
+        raise ValueError(f"barge: {folder}: tower.csv or blade.csv has no column {error}") from None
+
+
+def _figures(folder: Path) -> dict[str, Any]:
+    return tomllib.loads((folder / "turbine.toml").read_text(encoding="utf-8"))
+
+
+def _checked(folder: Path, figures: dict[str, Any]) -> dict[str, Any]:
+    """The figures, if they have every section and entry that this package's own have.
+
+    Raises:
+        ValueError: one is missing.
+    """
+    for section, entries in _figures(DATA).items():
         if section not in figures:
             raise ValueError(f"{folder / 'turbine.toml'}: section [{section}] is missing")
-    return Turbine(
-        **{section: figures[section] for section in sections},
-        damping_ratio=figures["tower"]["damping_ratio"],
-        tower=read_tower(figures["tower"], stations(folder / "tower.csv")),
-        blade=read_blade(figures, folder / "blade.csv"),
-    )
+        missing = [name for name in entries if name not in figures[section] and name not in TOWER_AIR]
+        if missing:
+            raise ValueError(f"{folder / 'turbine.toml'}: [{section}] lacks {missing[0]}")
+    return figures
