@@ -69,6 +69,7 @@ class Component:
         sample_time: period of `update`, s (sampled components only).
         sample_at_start: whether the first sample is taken at the start, with the inputs then, not one period later.
         directional_derivatives: whether its FMU gives them; without, it has half the code.
+        author, copyright, license: of the model, as its FMUs state them; give your own for a model of your own.
     """
 
     def __init__(
@@ -81,6 +82,9 @@ class Component:
         sample_time: float | None = None,
         sample_at_start: bool = False,
         directional_derivatives: bool = True,
+        author: str = "fowt-cosim",
+        copyright: str = "Copyright (c) 2026 The fowt-cosim authors",
+        license: str = "MIT",
     ) -> None:
         if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
             raise ValueError(f"component name '{name}' must be a lower-case C identifier")
@@ -94,6 +98,7 @@ class Component:
         self.sample_time = sample_time
         self.sample_at_start = sample_at_start
         self.directional_derivatives = directional_derivatives
+        self.author, self.copyright, self.license = author, copyright, license
         self.sym = ca.SX if symbols == "SX" else ca.MX
         self.time = self.sym.sym("time")
         self.strings: list[Variable] = []

@@ -35,6 +35,8 @@ from .conftest import every_feature
 from .cosim_fmus import mass
 from .loaded import Loaded, initialised
 
+LICENCE = Path(__file__).parents[1] / "LICENSE"
+
 
 class Slave:
     """A co-simulation instance of FMI 3.0, in step mode."""
@@ -267,6 +269,26 @@ def test_archive_has_what_the_standard_asks_for(fmu_folder: Path) -> None:
     assert not any("fmi2" in name for name in names)
     with pytest.raises(ValueError, match="no FMI version '4'"):
         build_fmu(tmd(), fmu_folder, fmi="4")
+
+
+def test_an_fmu_says_whose_it_is_and_how_long_to_run() -> None:
+    """The component's own author and terms, else this project's; the text of the licence travels with the code."""
+    own = Component("own", "A model of someone else's", author="A. Colleague", copyright="", license="proprietary")
+    own.output("one", own.sym(1), description="a constant")
+    (project,) = (line for line in LICENCE.read_text().splitlines() if line.startswith("Copyright"))
+    for fmi in ("2", "3"):
+        for component, expected in (
+            (tmd(), {"author": "fowt-cosim", "copyright": project, "license": "MIT"}),
+            (own, {"author": "A. Colleague", "license": "proprietary"}),
+        ):
+            files = build._content(component, fmi)
+            root = etree.fromstring(files["modelDescription.xml"])
+            assert {k: root.get(k) for k in ("author", "copyright", "license") if k in root.attrib} == expected
+            text = files["documentation/licenses/license.txt"].decode()
+            assert f"Licence: {expected['license']}" in text
+            assert text.endswith(LICENCE.read_text())
+            experiment = root.find("DefaultExperiment").attrib  # some tools would stop at 1 s
+            assert (experiment["stopTime"], experiment["stepSize"]) == ("60", "0.0125")
 
 
 def test_terminals_are_the_mechanical_ports() -> None:

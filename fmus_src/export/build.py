@@ -17,7 +17,7 @@ from platformdirs import user_cache_path
 from fmus_src.component import Component
 from fmus_src.equations import derive
 from fmus_src.export.compiler import FLAGS, compile_shared
-from fmus_src.export.documentation import documentation
+from fmus_src.export.documentation import documentation, licence
 from fmus_src.export.exported import Exports
 from fmus_src.export.icon import png, port, svg, turbine
 from fmus_src.export.model_description import model_description
@@ -29,9 +29,6 @@ from fmus_src.export.universal import universal
 
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # zip's own, so that the same content makes the same bytes
 _IMAGES = {"icon": turbine, "port": port}
-_LICENCE = (
-    "MIT License. Sources of this FMU: see the folder 'sources'; FMI headers: BSD 2-Clause (Modelica Association).\n"
-)
 
 
 def build_fmu(
@@ -106,7 +103,7 @@ def _content(component: Component, fmi: str = "2") -> dict[str, bytes]:
     placeholder = "{GUID}"
     texts = {f"sources/{name}": text for name, text in source_files(exports, placeholder, fmi).items()}
     texts["documentation/index.html"] = documentation(exports.equations, fmi)
-    texts["documentation/licenses/license.txt"] = _LICENCE
+    texts["documentation/licenses/license.txt"] = licence(component)
     images = {"model.png": png(turbine())}
     if fmi == "2":
         texts["modelDescription.xml"] = model_description(exports, placeholder, COMPILED["2"])

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from html import escape
+from pathlib import Path
 
+from fmus_src.component import Component
 from fmus_src.equations import Equations
 
 _STYLE = """body{font:16px/1.5 system-ui,sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem}
@@ -60,6 +62,13 @@ def documentation(equations: Equations, fmi: str = "2") -> str:
             head = "<tr><th>name</th><th>unit</th><th>start</th><th>description</th></tr>"
             parts.append(f"<h2>{title}</h2><table>{head}{''.join(rows)}</table>")
     return "\n".join([*parts, "</body></html>"]) + "\n"
+
+
+def licence(component: Component) -> str:
+    """`documentation/licenses/license.txt`: the model's own licence, then that of the code around it."""
+    own = [component.name, component.copyright, component.license and f"Licence: {component.license}"]
+    around = (Path(__file__).parent / "license.txt").read_text(encoding="utf-8")
+    return "\n".join([*(line for line in own if line), "", around])
 
 
 def _dimensions(shape: tuple[int, ...]) -> str:

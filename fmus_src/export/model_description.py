@@ -5,6 +5,7 @@ from __future__ import annotations
 from importlib.metadata import PackageNotFoundError, version
 from xml.etree import ElementTree as ET
 
+from fmus_src.component import Component
 from fmus_src.export.exported import Exported, Exports
 from fmus_src.units import Unit, conversion, unit
 from fmus_src.variable import Variable
@@ -26,10 +27,7 @@ def model_description(exports: Exports, guid: str, sources: tuple[str, ...]) -> 
         "modelName": component.name,
         "guid": guid,
         "description": component.description,
-        "version": tool_version(),
-        "author": "fowt-cosim",
-        "license": "MIT",
-        "generationTool": f"fowt-cosim {tool_version()}",
+        **origin(component),
         "variableNamingConvention": "structured",
         "numberOfEventIndicators": str(len(exports.equations.switch_positions())),
     })  # fmt: skip
@@ -56,10 +54,25 @@ def model_description(exports: Exports, guid: str, sources: tuple[str, ...]) -> 
     unit_definitions(ET.SubElement(root, "UnitDefinitions"), [e for e in exports.all if e.role != "time"])
     categories = ET.SubElement(root, "LogCategories")
     ET.SubElement(categories, "Category", {"name": "logStatusError", "description": "errors"})
-    ET.SubElement(root, "DefaultExperiment", {"startTime": "0", "stepSize": repr(component.internal_step)})
+    ET.SubElement(root, "DefaultExperiment", default_experiment(component))
     index = _variables(ET.SubElement(root, "ModelVariables"), exports)
     _structure(ET.SubElement(root, "ModelStructure"), exports, index)
     return to_text(root)
+
+
+def origin(component: Component) -> dict[str, str]:
+    """Attributes of both versions of FMI: whose model it is, under what licence, made by what."""
+    given = {"author": component.author, "copyright": component.copyright, "license": component.license}
+    stated = {name: text for name, text in given.items() if text}
+    return {"version": tool_version(), **stated, "generationTool": f"fowt-cosim {tool_version()}"}
+
+
+def default_experiment(component: Component) -> dict[str, str]:
+    """What a tool runs if it is not told otherwise; many would stop at 1 s.
+
+    60 s are five periods of the platform's pitch; the tolerance is for the importer's solver (model exchange).
+    """
+    return {"startTime": "0", "stopTime": "60", "tolerance": "1e-6", "stepSize": repr(component.internal_step)}
 
 
 def to_text(root: ET.Element) -> str:

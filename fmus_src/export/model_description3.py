@@ -7,7 +7,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from fmus_src.export.exported import Exported, Exports, Role
-from fmus_src.export.model_description import details, number, to_text, tool_version, unit_definitions
+from fmus_src.export.model_description import default_experiment, details, number, origin, to_text, unit_definitions
 
 VERSION = "3.0"
 _TYPES = {"real": "Float64", "integer": "Int32", "boolean": "Boolean", "string": "String"}
@@ -21,10 +21,7 @@ def model_description3(exports: Exports, token: str) -> str:
         "modelName": component.name,
         "instantiationToken": token,
         "description": component.description,
-        "version": tool_version(),
-        "author": "fowt-cosim",
-        "license": "MIT",
-        "generationTool": f"fowt-cosim {tool_version()}",
+        **origin(component),
         "variableNamingConvention": "structured",
     })  # fmt: skip
     common = {
@@ -47,7 +44,7 @@ def model_description3(exports: Exports, token: str) -> str:
     unit_definitions(ET.SubElement(root, "UnitDefinitions"), list(exports.all))
     categories = ET.SubElement(root, "LogCategories")
     ET.SubElement(categories, "Category", {"name": "logStatusError", "description": "errors"})
-    ET.SubElement(root, "DefaultExperiment", {"startTime": "0", "stepSize": repr(component.internal_step)})
+    ET.SubElement(root, "DefaultExperiment", default_experiment(component))
     variables = ET.SubElement(root, "ModelVariables")
     for e in exports.all:
         if not e.variable.internal:

@@ -27,6 +27,13 @@ FMI_HEADERS = {
     "2": ("fmi2Functions.h", "fmi2FunctionTypes.h", "fmi2TypesPlatform.h"),
     "3": ("fmi3Functions.h", "fmi3FunctionTypes.h", "fmi3PlatformTypes.h"),
 }
+# FMPy's copy of FMI 2.0's header leaves out the prefix of function names that the standard's has
+_PREFIXED = (
+    "#define fmi2FullName(name) name\n",
+    "#if defined(FMI2_FUNCTION_PREFIX)\n  #define fmi2Paste(a,b) a ## b\n  #define fmi2PasteB(a,b) fmi2Paste(a,b)\n"
+    "  #define fmi2FullName(name) fmi2PasteB(FMI2_FUNCTION_PREFIX, name)\n#else\n  #define fmi2FullName(name) name\n"
+    "#endif\n",
+)
 MAX_FUNCTION_ARGUMENTS = 256  # MAX_ARGUMENTS of the runtime
 MAX_IMPLICIT = 8
 _PURPOSES = {"derivatives": "FOR_RATES", "outputs": "FOR_OUTPUTS", "update": "FOR_UPDATE", "switches": "FOR_SIGNS"}
@@ -44,9 +51,33 @@ def source_files(exports: Exports, guid: str, fmi: str = "2") -> dict[str, str]:
     """
     files = {name: (RUNTIME / name).read_text() for name in (*RUNTIME_INCLUDED, *INTERFACES[fmi], *RUNTIME_SOURCES)}
     files |= {name: (fmi_headers() / name).read_text() for name in FMI_HEADERS[fmi]}
+    if fmi == "2":
+        header = FMI_HEADERS["2"][0]
+        files[header] = files[header].replace(*_PREFIXED)
+    files["names.h"] = names(exports.equations.component.name, files["instance.h"] + files["runtime.h"])
+    files["runtime.h"] = '#include "names.h"\n' + files["runtime.h"]
     files["equations.c"] = equations_source(exports.equations)
     files["model.c"] = model_source(exports, guid)
     return files
+
+
+def names(component: str, headers: str) -> str:
+    """`names.h`: the runtime's functions under names of this component's own.
+
+    With them, and FMI's functions under FMI2_FUNCTION_PREFIX or FMI3_FUNCTION_PREFIX, the sources of several FMUs go
+    into one program.
+
+    Args:
+        headers: text of the runtime's headers, which declare them.
+    """
+    declared = re.findall(r"^(?!static|typedef)\w[\w ]*?[ *](\w+)(?:\(|;)", headers, re.MULTILINE)
+    lines = [
+        "/* So that the sources of several FMUs go into one program. */",
+        *(f"#define {name} {component}_{name}" for name in declared),
+        "#define CASADI_CODEGEN_PREFIX",
+        f"#define CODEGEN_PREFIX {component}_equations_",
+    ]
+    return "\n".join(lines) + "\n"
 
 
 def fmi_headers() -> Path:
