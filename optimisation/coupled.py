@@ -7,6 +7,7 @@ import os
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +38,7 @@ class StoredResponses:
         scenarios, channels: labels.
         store: file of finished simulations, which is read first; it must belong to the same problem. None: no file.
         workers: threads.
-        tick: called after each simulation, with the number done so far.
+        tick: called after each simulation with 1, and at the start of a call with the number of those stored.
 
     Raises:
         ValueError: the store cannot be read.
@@ -82,6 +83,7 @@ class StoredResponses:
             except BaseException:  # Ctrl-C, or an error that no other design can put right: the running ones stop too
                 stop.set()
                 pool.shutdown(wait=True, cancel_futures=True)
+                self._keep_finished(jobs, candidates)
                 raise
         if failures and self.first_failure is None:
             i, s = min(failures)
@@ -106,6 +108,14 @@ class StoredResponses:
                     failures[i, s] = str(error)
                 self._count(1)
 
+    def _keep_finished(self, jobs: Mapping[Future[Array], tuple[int, int]], candidates: Array) -> None:
+        """Keep what has come to its end beside what broke off."""
+        for job, (i, s) in jobs.items():
+            known = (*candidates[i].tolist(), self._scenarios[s].label) in self._known
+            if job.done() and not known and not job.cancelled() and job.exception() is None:
+                with suppress(OSError):  # if that is what has broken off
+                    self._keep(candidates[i], s, job.result())
+
     def _keep(self, candidate: Array, s: int, deviations: Array) -> None:
         label = self._scenarios[s].label
         self._known[(*candidate.tolist(), label)] = deviations
@@ -124,7 +134,7 @@ class StoredResponses:
     def _count(self, more: int) -> None:
         self.simulations += more
         if self._tick is not None and more:
-            self._tick(self.simulations)
+            self._tick(more)
 
 
 def _read(store: Path, channels: int) -> dict[tuple[Any, ...], Array]:

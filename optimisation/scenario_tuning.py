@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from optimisation.checkpoint import write_checkpoint
+from optimisation.checkpoint import resumed_record, write_checkpoint
 from optimisation.objective import DamperName, Design
 from optimisation.scenarios import How, ScenarioFitness
 from optimisation.search import Generation, Record
@@ -110,7 +110,7 @@ class ScenarioResult:
 
 def tune_scenarios(
     request: Request,
-    objective: ScenarioFitness,
+    make_objective: Callable[[], ScenarioFitness],
     task: Design,
     models: Mapping[str, str],
     *,
@@ -123,7 +123,8 @@ def tune_scenarios(
 
     Args:
         request: what to tune and how.
-        objective: see `optimisation.scenarios`.
+        make_objective: makes the objective, see `optimisation.scenarios`. Called when the checkpoint is there, so that
+            what it simulates (the reference) is not lost when it is broken off.
         task: `request.task()` with units, see `optimisation.variables`.
         models: digests of what the scenarios consist of, by label.
         prior: a cheap model of the responses, see `optimisation.surrogate`.
@@ -136,6 +137,13 @@ def tune_scenarios(
     request = request.resolved()
     lower, upper = bounds_of(task)
     starts = checked_starts(request, task)
+    problem = request.problem(models)
+    if checkpoint is not None:
+        if resume:  # refuses another problem before anything is simulated
+            resumed_record(checkpoint, problem)
+        else:
+            write_checkpoint(checkpoint, problem, Record())
+    objective = make_objective()
     options: dict[str, Any] = {}
     if request.method == "surrogate":
         options = {"limit": request.evaluations, "starts": starts, "fitness": objective.fitness, "prior": prior}
@@ -143,9 +151,6 @@ def tune_scenarios(
     strategy = make_strategy(
         request.method, lower, upper, population=request.population, seed=request.seed, **options
     )  # fmt: skip
-    problem = request.problem(models)
-    if checkpoint is not None and not resume:  # so that the first generation, which may take long, can be resumed too
-        write_checkpoint(checkpoint, problem, Record(library=strategy.library))
     found = continued_search(
         request, problem, objective, strategy, progress=progress, checkpoint=checkpoint, resume=resume
     )

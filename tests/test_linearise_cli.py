@@ -45,7 +45,7 @@ def test_a_case_becomes_a_model_once(fowt: Callable[..., Any], tmp_path: Path) -
 def test_misuse(fowt: Callable[..., Any]) -> None:
     for words, message in (
         (("lc1", "--damper", "none"), "has no dampers to move"),
-        (("lc1", "--seeds", "a"), "write whole numbers from 0"),
+        (("lc1", "--seeds", "a"), "--seeds a: 'a' is no seed; write whole numbers from 0"),
         (("lc1", "--vary", "barge.gravity=1,2"), "write 3 rising numbers"),
         (("lc1", "--channels", "Pitch"), "has no channel 'Pitch'"),
         (("lc1", "--mode", "0.2"), "write 2 rising numbers"),

@@ -4,22 +4,32 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
 import time
 import types
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from rich.progress import Progress
 
+from cosim.cli.scenario_options import parsed_scenarios
+from cosim.cli.scenarios import CoupledRuns, _prior, linear_models
+from cosim.errors import CosimError
 from cosim.ssp import read_parameters
 from fmus_src.component import Component
 from fmus_src.simplified.model import component
-from optimisation.tuning import optimise
+from optimisation.checkpoint import read_checkpoint
+from optimisation.receptance import Damper, LinearModel
+from optimisation.scenario_tuning import tune_scenarios
+from optimisation.scenarios import ScenarioFitness
+from optimisation.tuning import Request, optimise
 
 from .conftest import Outcome
 
@@ -99,7 +109,7 @@ def test_a_load_case_in_wind_and_waves(fowt: Callable[..., Outcome]) -> None:
     [
         (("--cases", "lc44"), "no load case 'lc44'; did you mean 'lc4'?"),
         ((), "name load cases, such as --cases lc1,lc4"),
-        (("--cases", "lc1", "--seeds", "x"), "--seeds x: write them as 1,2,3 or 1:3"),
+        (("--cases", "lc1", "--seeds", "x"), "--seeds x: 'x' is no seed; write whole numbers from 0"),
         (("--cases", "decay5", "--seeds", "1"), "decay5 has no random wind or sea"),
         (("--cases", "lc1=-1", "--until", "1"), "a weight is at least 0"),
         (("--cases", "lc1", "--channels", "PtfmPich"), "lc1: no channel 'PtfmPich'; did you mean 'PtfmPitch'?"),
@@ -151,8 +161,7 @@ class FakeModel:
     dampers = (types.SimpleNamespace(name="platform_damper"),)
 
     def __init__(self, label: str) -> None:
-        self.label = label
-        self.about = {"case": label.split("-")[0]}
+        self.label, self.about = label, {"case": label}
 
     @classmethod
     def load(cls, path: Path) -> FakeModel:
@@ -207,6 +216,113 @@ def test_linear_models_as_the_objective_and_as_a_guide(
     guided = fowt("optimise", "tmd-p", *TINY, "--models", "models", "--evaluations", "5", "--format", "json")
     assert guided.code == 0, guided.err
     assert json.loads(guided.out)["evaluations"] == 5
+
+
+def model(folder: Path, case: str, seed: int, values: tuple[str, ...], pitch: float) -> None:
+    """A linear model as `fowt linearise` leaves it, on which dampers have no effect: its STD of pitch is given."""
+    words = ["", *values][-1].replace("[", "").replace("]", "")
+    label = f"{case}-seed{seed}" + (f"-{words}" if words else "")
+    time = np.arange(0.0, 20.0, 0.5)
+    LinearModel(
+        label, ("PtfmPitch", "TTDspFA"), ("deg", "m"), (Damper("platform_damper", 2e5, "s", "a"),),
+        p=0.1 + 2j * np.pi * np.arange(len(time) // 2) / 20.0, base=np.zeros((len(time) // 2, 3), complex),
+        gain=np.zeros((len(time) // 2, 3, 1), complex), rest=np.array([pitch, 0.5]) ** 2, step=0.5, length=len(time),
+        start=0.0, stop=19.5, about={"case": case, "seed": seed, "damper": "tmd-p", "set": list(values)},
+    ).save(folder / f"linear-{label}.npz")  # fmt: skip
+
+
+def test_each_scenario_is_guided_by_its_own_linear_model(tmp_path: Path) -> None:
+    """Cases with and without chance, seeds, a varied parameter: by what a model was made from, not by its label."""
+    inertia, stiff = "barge.platform.inertia[2]", "barge.nacelle.yaw_stiffness=1e9"
+    given = [("lc1", s, v, 10.0 * s + i) for s in (1, 2) for i, v in enumerate(((), *((f"{inertia}={x}",) for x in
+             ("1.33e9", "1.45e9", "1590000000"))))] + [("decay5", 1, (), 5.0), ("lc3", 1, (stiff,), 7.0)]  # fmt: skip
+    for case, seed, values, pitch in given:
+        model(tmp_path, case, seed, values, pitch)
+    models = linear_models(tmp_path)
+
+    def prior(cases: str, seeds: str | None, *vary: str, **more: Any) -> np.ndarray:
+        scenarios = parsed_scenarios(cases, seeds, vary)
+        request = Request("tmd-p", scenarios=scenarios, channels=("PtfmPitch",), objective="coupled", **more)
+        return _prior(request, models)[0](np.array([[5e4, 1e4]]))[0]
+
+    # the models' own, rounding of a square root apart
+    np.testing.assert_allclose(prior("decay5,lc1", None), [5.0, 10.0])
+    np.testing.assert_allclose(prior("lc1", "2,1", f"{inertia}=1.59e9,1.33e9"), [23.0, 21.0, 13.0, 11.0])
+    np.testing.assert_allclose(prior("lc3", "1", parameters={"barge.nacelle.yaw_stiffness": 1e9}), [7.0])
+    np.testing.assert_allclose(prior("lc1", "1", parameters={"platform_damper.stroke": 9.0}), [10.0])
+    for wrong, label in (
+        (("lc1", "3"), "lc1 seed 3"),
+        (("lc1", "1", f"{inertia}=1.5e9"), f"lc1 seed 1, {inertia} = 1.5e+09"),
+        (("lc3", "1"), "lc3 seed 1"),  # its model has another stiffness
+        (("lc1", "1", "platform_damper.stroke=9,10"), "lc1 seed 1, platform_damper.stroke = 9"),
+    ):
+        with pytest.raises(CosimError, match=f"--models: none of '{re.escape(label)}'; name a folder with one"):
+            prior(*wrong)
+    model(tmp_path, "decay5", 2, (), 5.0)
+    models = linear_models(tmp_path)
+    with pytest.raises(
+        CosimError, match=r"--models: 2 \(linear-decay5-seed1.npz, linear-decay5-seed2.npz\) of 'decay5'"
+    ):
+        prior("decay5", None)
+
+
+def test_the_progress_bar_never_goes_back(fowt: Callable[..., Outcome], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two scenarios of ten designs and of the reference are 22 from the start; a search of linear models alike."""
+    shown: list[tuple[float, float]] = []
+
+    class Bar(Progress):
+        def update(self, *words: Any, **options: Any) -> None:
+            super().update(*words, **options)
+            shown.append((self.tasks[0].completed, self.tasks[0].total or 0.0))
+
+    monkeypatch.setattr("cosim.cli.optimise_report.count_progress", lambda *_, **__: Bar(disable=True))
+    done = fowt("optimise", "tmd-p", *TINY, "--evaluations", "10", "--start", "tmd-p", "--workers", "1")
+    assert done.code == 0, done.err
+    assert shown == sorted(shown)
+    assert {total for _, total in shown} == {22.0}
+    assert {n for n, _ in shown} >= {*map(float, range(1, 23))}
+
+
+def test_the_checkpoint_is_there_before_the_objective_is_made(tmp_path: Path) -> None:
+    """Making the objective may take minutes (its reference is simulated); another problem is refused before."""
+    request = Request("tmd-p", method="surrogate", objective="coupled", channels=("PtfmPitch",))
+    file, made = tmp_path / "checkpoint.npz", []
+
+    def broken() -> ScenarioFitness:
+        made.append(read_checkpoint(file)[0]["seed"])
+        raise KeyboardInterrupt
+
+    for resume in (False, True):
+        with pytest.raises(KeyboardInterrupt):
+            tune_scenarios(request, broken, request.task(), {}, checkpoint=file, resume=resume)
+    assert made == [1, 1]
+    with pytest.raises(ValueError, match="is a checkpoint of another problem: seed 2, there 1"):
+        tune_scenarios(replace(request, seed=2), broken, request.task(), {}, checkpoint=file, resume=True)
+    assert made == [1, 1]
+
+
+def test_what_the_reference_costs_is_kept_whatever_happens_to_it(
+    fowt: Callable[..., Outcome], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The second scenario of the reference fails for a full disk; afterwards the search goes on with the first."""
+    words = ("optimise", "tmd-p", *TINY, "--evaluations", "6", "--workers", "1")
+    real, calls = CoupledRuns._simulate, 0
+
+    def full_disk(self: CoupledRuns, *given: Any) -> np.ndarray:
+        nonlocal calls
+        calls += 1
+        if calls == 2:
+            raise OSError("no space left")
+        return real(self, *given)
+
+    monkeypatch.setattr(CoupledRuns, "_simulate", full_disk)
+    assert "no space left" in fowt(*words, "--out", "kept").err
+    assert {p.name for p in (tmp_path / "kept").iterdir()} == {"checkpoint.npz", "simulations.jsonl"}
+    calls = 2
+    assert fowt("optimise", "--resume", "kept").code == 0
+    assert calls - 2 == 2 * (6 + 1) - 1  # all but the one that had finished
+    assert fowt(*words, "--out", "whole").code == 0
+    assert result(tmp_path / "kept") == result(tmp_path / "whole")
 
 
 def test_a_heavier_damper_does_better(fowt: Callable[..., Outcome], fmu: Path, tmp_path: Path) -> None:

@@ -89,6 +89,26 @@ def test_the_search_continues_to_the_same_record(tmp_path: Path) -> None:
     assert continued.generations == whole.generations
 
 
+def test_where_the_cheap_model_has_no_value_a_prediction_is_of_the_design_alone() -> None:
+    """The cheap model is not stable in half of the space: what it lacks must not come from the designs beside."""
+
+    def prior(x: np.ndarray) -> np.ndarray:
+        return np.where(x[:, :1] < 2.5, 1.1 * three(x)[:, 1:], np.nan)
+
+    strategy = make(fitness=worst, prior=prior)
+    search(three, strategy, evaluations=11)
+    x = np.array([[0.0, 9.0], [8.0, 3.0], [4.0, 12.0]])
+    assert np.isnan(prior(x)).any(axis=1).tolist() == [False, True, True]
+    alone = np.vstack([strategy.predict(row[None]) for row in x])
+    # rounding: matrix products of other shapes
+    np.testing.assert_allclose(strategy.predict(x), alone, rtol=1e-12)
+    everywhere = make(fitness=worst, prior=lambda x: np.full((len(x), 3), np.nan))
+    search(three, everywhere, evaluations=11)
+    without = make(fitness=worst)
+    search(three, without, evaluations=11)
+    np.testing.assert_array_equal(everywhere.predict(x), without.predict(x))
+
+
 def test_failing_designs_do_not_win() -> None:
     def partly(x: np.ndarray) -> np.ndarray:
         return np.where(x[:, 0] < 5.0, np.nan, branin(x))

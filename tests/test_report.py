@@ -413,3 +413,24 @@ def test_prints_every_part(shown: Page) -> None:
     # nine parts, each on a page of its own or more
     assert len(re.findall(rb"/Type\s*/Page\b", pdf)) >= 9
     shown.wait("document.querySelectorAll('.panel.active').length === 1")  # and the screen is as before
+
+
+def test_prints_every_load_case(shown: Page) -> None:
+    """On paper nobody can choose: each figure stands there once for each load case, with its own data and caption."""
+    _select(shown, "histories")
+    shown.run("document.querySelector('input[name=case-histories][value=lc4]').click()")
+    shown.run("window.dispatchEvent(new Event('beforeprint'))")
+    every = "[...document.querySelectorAll('#figure-histories .variant')].filter((v) => v.offsetHeight > 100)"
+    pitch = "(p) => Math.max(...p._fullData.find((t) => t.name === 'TMD-P' && t.yaxis === 'y5').y)"
+    caption = "v.querySelector('figcaption').textContent.slice(0, 3)"
+    printed = shown.run(f"{every}.map((v) => [v.dataset.variant, {caption}, ({pitch})(v.querySelector('.copy'))])")
+    assert [row[:2] for row in printed] == [["lc3", "LC3"], ["lc4", "LC4"]]
+    # as in test_load_case_can_be_chosen
+    assert printed[0][2] / printed[1][2] == pytest.approx(0.93 / 0.95, rel=1e-4)
+    choice = "document.querySelector('#figure-histories > .plot')"
+    assert shown.run(f"getComputedStyle({choice}).display") == "none"
+    shown.run("window.dispatchEvent(new Event('afterprint'))")
+    assert shown.run("document.querySelectorAll('.copy, .every-case').length") == 0
+    assert shown.run(f"getComputedStyle({choice}).display") == "block"
+    visible = "[...document.querySelectorAll('#figure-histories .variant:not([hidden])')]"
+    assert shown.run(f"{visible}.map((v) => v.dataset.variant)") == ["lc4"]

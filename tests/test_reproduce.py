@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from cosim.cli.campaign import Options
+from cosim.cli.campaign_plan import Options
 from cosim.cli.identify import Identified
 from cosim.cli.paper_figures import fourier_amplitude
 from optimisation.identification import UNKNOWNS, Identification, assess_fit
@@ -141,5 +141,5 @@ def test_methods_are_compared_over_seeds(fowt: Callable[..., Outcome], tmp_path:
     again = json.loads(fowt(*words[:-1], "m2", "--seeds", "3").out)["summary"]
     assert min(r["best"] for r in again if not r["polished"]) >= rows[2]["best"]
     for wrong in ("5:2", "x", "1:y"):
-        assert "write it as FIRST:LAST" in fowt("methods", "tmd-p", "--seeds", wrong).err
+        assert f"--seeds {wrong}: " in fowt("methods", "tmd-p", "--seeds", wrong).err
     assert "did you mean 'cma-es'" in fowt("methods", "tmd-p", "--methods", "cma").err

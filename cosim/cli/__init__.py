@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import sys
+from typing import Any
 
 import typer
+from typer.core import TyperGroup
 
 from cosim.cli import (
     build,
@@ -25,9 +27,22 @@ from cosim.cli import (
     sensitivity,
     verify,
 )
-from cosim.cli.console import failure
+from cosim.cli.console import Interrupted, emit_error, failure, warn
+
+
+class Commands(TyperGroup):
+    """The commands; one that is stopped by the user in a place where nothing is to be kept says so as well."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command that a context asks for."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            raise Interrupted("stopped by the user") from None
+
 
 app = typer.Typer(
+    cls=Commands,
     name="fowt",
     help="Design tuned mass dampers for floating wind turbines by co-simulating FMUs.",
     epilog="Start with: fowt compare lc4",
@@ -57,15 +72,26 @@ app.command("list")(listing.list_all)
 
 
 def main() -> None:
-    """Entry point: one line and a non-zero exit code for anything a user can put right."""
+    """Entry point: one line and a non-zero exit code for anything a user can put right.
+
+    With --format json, the line is also on stdout as {"error": "..."}.
+    """
     try:
         sys.exit(app(standalone_mode=False))
+    except Interrupted as error:
+        emit_error(str(error))
+        warn(str(error))
+        sys.exit(130)
     except (ValueError, RuntimeError, OSError) as error:
-        failure(str(error) or type(error).__name__)
+        text = str(error) or type(error).__name__
+        emit_error(text)
+        failure(text)
         sys.exit(1)
     except Exception as error:
         if not hasattr(error, "format_message"):  # of a mistake in the command's words
+            emit_error(f"{type(error).__name__}: {error}")
             raise
-        if error.format_message():  # else the help was asked for, and shown
-            failure(f"{error.format_message()} (see 'fowt --help' or 'fowt COMMAND --help')")
+        if text := error.format_message():  # else the help was asked for, and shown
+            emit_error(text)
+            failure(f"{text} (see 'fowt --help' or 'fowt COMMAND --help')")
         sys.exit(2)

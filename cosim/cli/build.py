@@ -39,10 +39,14 @@ def build(
 ) -> None:
     """Export components from their Python definition as FMUs.
 
-    Unchanged ones come from the cache. Each is for co-simulation and model exchange; that of FMI 3.0 is named
-    NAME-fmi3.fmu. Examples: [bold]fowt build tmd barge --out fmus[/bold],
-    [bold]fowt build tmd --fmi 2,3 --platform all[/bold],
-    [bold]fowt build hydro --option database=DIR/Barge --option sea=waves.csv --name hydro-given[/bold]
+    Unchanged ones come from the cache. Each is for co-simulation and model
+    exchange; that of FMI 3.0 is named NAME-fmi3.fmu. Examples:
+
+    [bold]fowt build tmd barge --out fmus[/bold]
+
+    [bold]fowt build tmd --fmi 2,3 --platform all[/bold]
+
+    [bold]fowt build hydro --option sea=waves.csv --name hydro-given[/bold]
     """
     quiet = output is Format.JSON
     if (option or name) and len(components or []) != 1:

@@ -31,7 +31,7 @@ class Progress:
         self._outcomes = dict(outcomes)
         self._root = root
         self._before, self._began = len(outcomes), time.monotonic()
-        self._live = None if quiet else Live(
+        self._live = None if quiet or not err.is_terminal else Live(
             get_renderable=self._render, console=err, refresh_per_second=2, transient=True
         )  # fmt: skip
 

@@ -15,7 +15,7 @@ from rich.progress import TaskID
 from rich.table import Table
 
 from cosim.case import read_case
-from cosim.cli.console import Format, FormatOption, emit, number, out, simulation_progress, warn
+from cosim.cli.console import Format, FormatOption, Interrupted, emit, number, out, simulation_progress, warn
 from cosim.cli.run import MAIN_CHANNELS, Changes, SeedOption, SetOption, SsvOption, UntilOption, free_path, prepare
 from cosim.errors import CosimError
 from cosim.recording import read_results
@@ -36,6 +36,7 @@ def compare(
     """Compare damper arrangements: standard deviations, suppression rates, histories and spectra.
 
     Given a load case, it runs each arrangement in the same wind and sea first.
+
     Example: [bold]fowt compare lc4 --dampers none,tmd-n,tmd-p,mtmd[/bold]
     """
     from cosim.cli.plots import plot_comparison
@@ -107,8 +108,7 @@ def _run_all(name: str, dampers: list[str], changes: Changes, folder: Path | Non
                 if not isinstance(error, KeyboardInterrupt):
                     raise
                 progress.stop()
-                warn(f"stopped by the user; results until then are in {root}")
-                raise typer.Exit(130) from error
+                raise Interrupted(f"stopped by the user; results until then are in {root}") from error
     for line in dict.fromkeys(w for r in results for w in r.warnings if not w.startswith("algebraic loop")):
         warn(line)
     return [r.folder for r in results]

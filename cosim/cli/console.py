@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import json
 import math
+import sys
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from enum import StrEnum
+from itertools import pairwise
 from typing import Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
+from rich.status import Status
 from rich.text import Text
 
-out = Console(highlight=False)
-err = Console(stderr=True, highlight=False)
+# Names of files, components and variables come from anywhere: "a[1]" and "[red]" are text, and so is ":x:".
+out = Console(highlight=False, markup=False, emoji=False)
+err = Console(stderr=True, highlight=False, markup=False, emoji=False)
 
 
 class Format(StrEnum):
@@ -26,9 +32,24 @@ class Format(StrEnum):
 FormatOption = Annotated[Format, typer.Option("--format", help="text, or json: stdout is then one JSON object.")]
 
 
+class Interrupted(Exception):
+    """The user has stopped a command; the message says what is kept and how to go on."""
+
+
 def failure(text: str) -> None:
     """Print an error as one line on stderr."""
     err.print(Text.assemble(("error: ", "bold red"), " ".join(text.split())), soft_wrap=True)
+
+
+def json_is_wanted(words: Sequence[str]) -> bool:
+    """Whether a command's words ask for JSON, also where they are wrong otherwise and so are not parsed."""
+    return "--format=json" in words or ("--format", "json") in pairwise(words)
+
+
+def emit_error(text: str) -> None:
+    """Tell a program that reads stdout why a command failed, if its words ask for JSON."""
+    if json_is_wanted(sys.argv[1:]):
+        emit({"error": " ".join(text.split())})
 
 
 def warn(text: str) -> None:
@@ -61,6 +82,20 @@ def _plain(value: Any) -> Any:
     return value
 
 
+def busy(text: str, quiet: bool = False) -> AbstractContextManager[Status | None]:
+    """A spinner beside a text while something takes its time; change the text by `status.update(Text(...))`."""
+    return nullcontext() if _silent(quiet) else err.status(Text(text))
+
+
+def _silent(quiet: bool) -> bool:
+    """Whether nothing is to be drawn that moves: into a file it would be blank lines."""
+    return quiet or not err.is_terminal
+
+
+def _text(template: str) -> TextColumn:
+    return TextColumn(template, markup=False)
+
+
 class _Speed(ProgressColumn):
     """Simulated seconds per second of wall time."""
 
@@ -71,14 +106,14 @@ class _Speed(ProgressColumn):
 def simulation_progress(quiet: bool) -> Progress:
     """Progress bars over simulated time, with speed and time left."""
     return Progress(
-        TextColumn("{task.description}"),
+        _text("{task.description}"),
         BarColumn(),
-        TextColumn("{task.completed:.0f}/{task.total:.0f} s"),
+        _text("{task.completed:.0f}/{task.total:.0f} s"),
         _Speed(),
-        TextColumn("left"),
+        _text("left"),
         TimeRemainingColumn(),
         console=err,
-        disable=quiet,
+        disable=_silent(quiet),
         transient=True,
     )
 
@@ -86,13 +121,13 @@ def simulation_progress(quiet: bool) -> Progress:
 def count_progress(quiet: bool, seconds: float = 30.0) -> Progress:
     """Progress bars over a number of things; the time left follows from the speed over the last `seconds`."""
     return Progress(
-        TextColumn("{task.description}"),
+        _text("{task.description}"),
         BarColumn(),
-        TextColumn("{task.completed:.0f}/{task.total:.0f}"),
-        TextColumn("{task.fields[note]}"),
+        _text("{task.completed:.0f}/{task.total:.0f}"),
+        _text("{task.fields[note]}"),
         TimeRemainingColumn(),
         speed_estimate_period=seconds,
         console=err,
-        disable=quiet,
+        disable=_silent(quiet),
         transient=True,
     )

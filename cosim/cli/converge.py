@@ -36,7 +36,9 @@ def converge(
 ) -> None:
     """Halve the step and show error and order of each algorithm, against the same system as one ODE.
 
-    Errors are root mean squares over standard deviations, the largest of the channels.
+    Errors are root mean squares over standard deviations, the largest of the
+    channels.
+
     Example: [bold]fowt converge lc4 --damper none --until 60[/bold]
     """
     from cosim.cli.plots import plot_convergence

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,9 +14,10 @@ import numpy as np
 import numpy.typing as npt
 import typer
 from rich.table import Table
+from rich.text import Text
 
 from cosim.case import case_folder, read_case, read_dampers, shipped_cases
-from cosim.cli.console import Format, FormatOption, emit, err, out, warn
+from cosim.cli.console import Format, FormatOption, busy, emit, out, warn
 from cosim.cli.run import Changes, _pair, _value, free_path, prepare
 from cosim.errors import CosimError, nearest
 from cosim.recording import new_folder
@@ -51,7 +52,9 @@ def identify(
 ) -> None:
     """Identify inertia, stiffness and damping of the simplified model; write result.json, identified.ssv, identify.png.
 
-    A file needs Time, PtfmPitch (deg) and TTDspFA (m), and begins at the release, at rest.
+    A file needs Time, PtfmPitch (deg) and TTDspFA (m), and begins at the
+    release, at rest.
+
     Example: [bold]fowt identify --reference my.outb --anchor my_damped.outb[/bold]
     """
     from optimisation.identification import UNKNOWNS
@@ -116,11 +119,11 @@ def identified(
     fitted = [simplified.decay(_record(s, d, place, quiet), d) for s, d in sources]
     further = [] if VERIFIED in sources else [simplified.decay(_record(*VERIFIED, place, quiet), VERIFIED[1])]
     model = simplified.model()
-    with nullcontext() if quiet else err.status("identifying") as status:
+    with busy("identifying", quiet) as status:
 
         def tell(count: int, error: float) -> None:
             if status is not None:
-                status.update(f"identifying: simulation {count}, mean squared error {error:.4g}")
+                status.update(Text(f"identifying: simulation {count}, mean squared error {error:.4g}"))
 
         result = fit(model, fitted, progress=tell)
         own, paper = (
@@ -265,7 +268,7 @@ def _record(source: str, damper: str, target: Path, quiet: bool) -> Record:
         known = nearest(source, [n for n in shipped_cases() if n.startswith("decay")])
         raise CosimError(f"no record '{source}': neither a load case nor a file of {', '.join(READERS)}{known}")
     prepared = prepare(read_case(source), damper, Changes(), quiet=quiet)
-    with nullcontext() if quiet else err.status(f"running {prepared.label}"):
+    with busy(f"running {prepared.label}", quiet):
         result = prepared.execute(target / prepared.label, lambda *_: None)
     record = read_history(result.folder / "results.parquet")
     return Record(str(result.folder), record.time, record.channels, record.units)

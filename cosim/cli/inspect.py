@@ -47,7 +47,9 @@ def validate(
 ) -> None:
     """Check an FMU: description, units, platform, and trials of its binary in a process of its own.
 
-    Exits with 0 if nothing fails, with 1 if something does. Example: [bold]fowt validate damper.fmu[/bold]
+    Exits with 0 if nothing fails, with 1 if something does.
+
+    Example: [bold]fowt validate damper.fmu[/bold]
     """
     findings = check(file, step, timeout)
     failed = [f for f in findings if f.status == "fail"]

@@ -20,8 +20,9 @@ from rich.table import Table
 
 from cosim.case import LoadCase, read_case
 from cosim.cli.build import build_fmus
-from cosim.cli.console import Format, FormatOption, emit, note, number, out, simulation_progress, warn
+from cosim.cli.console import Format, FormatOption, Interrupted, emit, note, number, out, simulation_progress, warn
 from cosim.cli.run import MAIN_CHANNELS, Changes, Prepared, SetOption, UntilOption, prepare
+from cosim.cli.seeds import parsed_seeds
 from cosim.errors import CosimError
 from cosim.fmu import read_fmu
 from cosim.recording import read_results
@@ -71,7 +72,7 @@ def linearise(
         "mtmd"
     ),
     seeds: Annotated[
-        str | None, typer.Option(metavar="1,2", help="Seeds of wind and sea (default: the case's).")
+        str | None, typer.Option(metavar="1:3,8", help="Seeds of wind and sea (default: the case's).")
     ] = None,
     vary: Annotated[
         list[str] | None,
@@ -89,9 +90,10 @@ def linearise(
 ) -> None:
     """Measure how each case responds to its dampers' masses, to evaluate springs and dashpots in milliseconds.
 
-    Three runs for two dampers: masses held, and each in turn moved by 0.3 m. Writes a model and a picture of each.
+    Three runs for two dampers: masses held, and each in turn moved by 0.3 m.
+    Writes a model and a picture of each.
 
-    Example: [bold]fowt linearise lc1 lc4 --vary "barge.platform.inertia[2]=1.33e9,1.45e9,1.59e9"[/bold]
+    Example: [bold]fowt linearise lc1 lc4 --seeds 1:3 --out linear[/bold]
     """
     quiet = output is Format.JSON
     low, high = _numbers(mode, "--mode", 2)
@@ -99,7 +101,7 @@ def linearise(
     wanted = [
         _scenario(read_case(case), damper, seed, override, Changes(set=set_ or (), until=until), names, quiet)
         for case in dict.fromkeys(cases)
-        for seed in (_seeds(seeds) if seeds else [None])
+        for seed in (parsed_seeds(seeds) if seeds else [None])
         for override in _overrides(vary or ())
     ]
     folder.mkdir(parents=True, exist_ok=True)
@@ -202,8 +204,9 @@ def _run_all(scenarios: Sequence[Scenario], channels: tuple[str, ...], folder: P
             if not isinstance(error, KeyboardInterrupt):
                 raise
             progress.stop()
-            warn(f"stopped by the user; finished models are in {folder}: the same command goes on from there")
-            raise typer.Exit(130) from error
+            raise Interrupted(
+                f"stopped by the user; finished models are in {folder}: the same command goes on from there"
+            ) from error
 
 
 def _estimate(
@@ -281,16 +284,6 @@ def _numbers(text: str, option: str, count: int) -> list[float]:
     if len(values) != count or sorted(values) != values:
         raise CosimError(f"{option} {text}: write {count} rising numbers with commas between them")
     return values
-
-
-def _seeds(text: str) -> list[int]:
-    try:
-        seeds = [int(s) for s in text.split(",")]
-    except ValueError:
-        seeds = [-1]
-    if min(seeds) < 0:
-        raise CosimError(f"--seeds {text}: write whole numbers from 0 with commas between them")
-    return list(dict.fromkeys(seeds))
 
 
 def _overrides(vary: Sequence[str]) -> list[str]:

@@ -22,6 +22,7 @@ from cosim.cli.optimise import (
     simplified,
 )
 from cosim.cli.run import free_path
+from cosim.cli.seeds import parsed_seeds
 from cosim.errors import CosimError, nearest
 from cosim.recording import new_folder
 
@@ -34,9 +35,11 @@ if TYPE_CHECKING:
 
 def methods(
     dampers: Annotated[list[str] | None, typer.Argument(help="tmd-n, tmd-p, mtmd; all three by default.")] = None,
-    methods: Annotated[str, typer.Option(help="Search methods, by comma.")] = ",".join(SearchMethod),
-    seeds: Annotated[str, typer.Option(metavar="FIRST:LAST", help="Seeds of each search.")] = "1:10",
-    evaluations: Annotated[int | None, typer.Option(min=2, help="Of each search; 5000.")] = None,
+    methods: Annotated[str, typer.Option(help="Search methods, with commas.")] = ",".join(SearchMethod),
+    seeds: Annotated[str, typer.Option(metavar="1:3,8", help="Seeds of each search.")] = "1:10",
+    evaluations: Annotated[
+        int | None, typer.Option(min=2, help="Largest number of each search (default: 5000).")
+    ] = None,
     polish: Annotated[bool, typer.Option(help="Polish each result too.")] = True,
     set_: ParameterOption = None,
     ssv: SetFileOption = None,
@@ -59,12 +62,12 @@ def methods(
             raise CosimError(f"--methods {name}: no such search method{nearest(name, list(SearchMethod))}")
     if not chosen:
         raise CosimError("--methods names no search method")
-    first, last = seed_range(seeds)
+    numbers = parsed_seeds(seeds)
     values = parameters(set_, ssv)
     arrangements = dict.fromkeys(cast("DamperName", decay_damper(d)) for d in dampers or all_dampers())
     requests = [
         Request(d, method=SearchMethod(m).value, seed=s, evaluations=evaluations, parameters=values).resolved()
-        for d in arrangements for m in dict.fromkeys(chosen) for s in range(first, last + 1)
+        for d in arrangements for m in dict.fromkeys(chosen) for s in numbers
     ]  # fmt: skip
     file = simplified(fmu, quiet)
     target = new_folder(folder or free_path(Path("runs") / "methods"))
@@ -95,18 +98,6 @@ def all_dampers() -> tuple[DamperName, ...]:
     from optimisation.objective import PUBLISHED
 
     return PUBLISHED
-
-
-def seed_range(text: str) -> tuple[int, int]:
-    """First and last seed from "1:10" or "3".
-
-    Raises:
-        CosimError: it is neither.
-    """
-    first, _, last = text.partition(":")
-    if not (first.isdigit() and (last or first).isdigit() and int(first) <= int(last or first)):
-        raise CosimError(f"--seeds {text}: write it as FIRST:LAST, such as 1:10")
-    return int(first), int(last or first)
 
 
 def _show(result: pd.DataFrame) -> None:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import nullcontext
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from cosim.checks import CheckedSystem, check
-from cosim.cli.console import err
+from cosim.cli.console import busy
 from cosim.errors import CosimError
 from cosim.fmu import read_fmu
 from cosim.recording import Channel, select_channels
@@ -35,7 +34,7 @@ def as_one(prepared: Prepared, *, quiet: bool = False) -> Prepared:
         (f"{checked.names[k.source]}.{k.output.name}", f"{checked.names[k.target]}.{k.input.name}", k.factor, k.offset)
         for k in checked.links
     ]
-    with nullcontext() if quiet else err.status("building the system as one FMU"):
+    with busy("building the system as one FMU", quiet):
         try:
             fmu = build_system(NAME, parts, connections)
         except ValueError as error:

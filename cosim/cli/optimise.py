@@ -47,7 +47,7 @@ ParameterOption = Annotated[
     list[str] | None, typer.Option("--set", metavar="PARAM=VALUE", help="A parameter of the simplified model.")
 ]
 SetFileOption = Annotated[
-    list[Path] | None, typer.Option("--ssv", help="Parameter set of the simplified model, such as identified.ssv.")
+    list[Path] | None, typer.Option("--ssv", metavar="FILE.ssv", help="Parameter set of the simplified model.")
 ]
 BoundsOption = Annotated[
     list[str] | None, typer.Option("--bounds", metavar="NAME=LOW:HIGH", help="Other bounds than those of eq. 14.")
@@ -68,7 +68,9 @@ def optimise(
     damper: Annotated[str | None, typer.Argument(help="tmd-n, tmd-p or mtmd; not needed with --resume.")] = None,
     objective: Annotated[
         ObjectiveName | None,
-        typer.Option(help="decay: free decay of the simplified model (default); coupled: co-simulations; spectral."),
+        typer.Option(
+            help="decay (default): of the simplified model; spectral: linear models; coupled: co-simulations."
+        ),
     ] = None,
     method: Annotated[
         SearchMethod | None,
@@ -80,24 +82,26 @@ def optimise(
     population: Annotated[int | None, typer.Option(min=1, help="By default the method's own; ga: 100.")] = None,
     generations: Annotated[int | None, typer.Option(min=1, help="Largest number; ga: 50.")] = None,
     evaluations: Annotated[
-        int | None, typer.Option(min=2, help="Largest number of designs; 5000, surrogate 60.")
+        int | None, typer.Option(min=2, help="Largest number of designs (default: 5000; surrogate: 60).")
     ] = None,
     bounds: BoundsOption = None,
     variable: VariableOption = None,
     set_: ParameterOption = None,
     ssv: SetFileOption = None,
     cases: Annotated[str | None, typer.Option(help="coupled: load cases, 'lc1,lc3', with weights 'lc1=2,lc3'.")] = None,
-    seeds: Annotated[str | None, typer.Option(help="coupled: seeds of wind and sea, '1,2'; the case's own.")] = None,
+    seeds: Annotated[
+        str | None, typer.Option(metavar="1:3,8", help="coupled: seeds of wind and sea (default: the case's).")
+    ] = None,
     vary: Annotated[
         list[str] | None, typer.Option(metavar="COMPONENT.PARAM=V1,V2", help="coupled: scenarios of uncertain values.")
     ] = None,
     until: Annotated[float | None, typer.Option(metavar="T", help="coupled: end of each run, s.")] = None,
-    channels: Annotated[str | None, typer.Option(help="Responses to reduce; PtfmPitch,TTDspFA.")] = None,
+    channels: Annotated[str | None, typer.Option(help="Responses to reduce (default: PtfmPitch,TTDspFA).")] = None,
     how: Annotated[
-        How | None, typer.Option("--aggregate", help="worst (default), mean, or worst-case: see docs.")
+        How | None, typer.Option("--aggregate", help="How many responses make one fitness: worst by default.")
     ] = None,
     relative_to: Annotated[
-        str | None, typer.Option(metavar="DESIGN", help="Arrangement or .ssv file to compare with; none.")
+        str | None, typer.Option(metavar="DESIGN", help="Arrangement or .ssv file to compare with (default: none).")
     ] = None,
     start: Annotated[
         list[str] | None, typer.Option(metavar="DESIGN", help="surrogate: arrangement or .ssv file to begin with.")
@@ -116,9 +120,11 @@ def optimise(
 ) -> None:
     """Tune damper stiffness and damping; write result.json, tuned.ssv and convergence.png (or pareto.csv and .png).
 
-    A checkpoint follows each generation; after an interruption: [bold]fowt optimise --resume FOLDER[/bold].
+    A checkpoint follows each generation; after an interruption:
+    [bold]fowt optimise --resume FOLDER[/bold]
 
-    Example: [bold]fowt optimise mtmd --seed 3[/bold], then [bold]fowt run lc4 --damper mtmd --ssv .../tuned.ssv[/bold]
+    Example: [bold]fowt optimise mtmd --out new[/bold], and then
+    [bold]fowt run lc4 --damper mtmd --ssv new/tuned.ssv[/bold]
     """
     from optimisation.checkpoint import CHECKPOINT
 
@@ -176,23 +182,18 @@ def _optimise_scenarios(
     request: Request, models: Path | None, folder: Path | None, resume: Path | None, workers: int, quiet: bool
 ) -> None:
     from cosim.cli.scenarios import judge
-    from optimisation.checkpoint import CHECKPOINT, resumed_record, write_checkpoint
+    from optimisation.checkpoint import CHECKPOINT
     from optimisation.coupled import STORE
     from optimisation.scenario_tuning import checked_starts, tune_scenarios
-    from optimisation.search import Record
 
     judged = judge(request, models, quiet=quiet)
-    checked_starts(request, judged.task)
-    if resume:  # refuse another problem before anything is simulated
-        resumed_record(resume / CHECKPOINT, request.problem(judged.digests))
+    checked_starts(request, judged.task)  # before there is a folder
     target = resume or new_folder(folder or free_path(Path("runs") / f"optimise-{request.damper}-{request.objective}"))
-    if not resume:  # so that what the reference costs is not lost either
-        write_checkpoint(target / CHECKPOINT, request.problem(judged.digests), Record())
     with resumable(target), simulation_bar(request, quiet) as (tick, progress):
-        objective = judged.fitness({"store": target / STORE, "workers": workers, "tick": tick})
+        options = {"store": target / STORE, "workers": workers, "tick": tick}
         result = tune_scenarios(
-            request, objective, judged.task, judged.digests, prior=judged.prior, progress=progress,
-            checkpoint=target / CHECKPOINT, resume=resume is not None,
+            request, lambda: judged.fitness(options), judged.task, judged.digests, prior=judged.prior,
+            progress=progress, checkpoint=target / CHECKPOINT, resume=resume is not None,
         )  # fmt: skip
     report_scenarios(result, target, quiet)
 

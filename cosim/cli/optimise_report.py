@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import typer
 from rich.table import Table
+from rich.text import Text
 
-from cosim.cli.console import count_progress, emit, err, out, warn
+from cosim.cli.console import Interrupted, busy, count_progress, emit, out, warn
 
 if TYPE_CHECKING:
     from optimisation.pareto import Front
@@ -33,10 +33,10 @@ def resumable(folder: Path) -> Iterator[None]:
             record = read_checkpoint(folder / CHECKPOINT)[1]
             done = [float(v[0]) for values in record.values for v in values if math.isfinite(v[0])]
             best = f", best until then {min(done):.4f}" if done else ""
-            warn(f"interrupted{best}; continue with: fowt optimise --resume {folder}")
+            message = f"interrupted{best}; continue with: fowt optimise --resume {folder}"
         else:
-            warn("interrupted before the first generation was complete")
-        raise typer.Exit(130) from None
+            message = "interrupted before the first generation was complete"
+        raise Interrupted(message) from None
     finally:
         if not any(folder.iterdir()):  # a failed search has nothing to leave
             folder.rmdir()
@@ -63,34 +63,44 @@ def progress_bar(request: Request, quiet: bool) -> Iterator[Callable[[Generation
 def simulation_bar(
     request: Request, quiet: bool
 ) -> Iterator[tuple[Callable[[int], None], Callable[[Generation], None]]]:
-    """A bar over co-simulations: called with their number so far, and after each generation."""
+    """A bar over the scenarios of all designs and of their reference: called with how many more are done, and after
+    each generation, which counts those that are not simulated (read from a checkpoint, or of linear models)."""
     assert request.evaluations is not None
+    each = len(request.scenarios)
     with count_progress(quiet, seconds=600.0) as bar:
         label = f"tuning {request.damper} by {request.method}"
-        total = (request.evaluations + 1) * len(request.scenarios)
+        total, done, words = (request.evaluations + 1) * each, 0, ""
         task = bar.add_task(label, total=total, note="reference")
 
-        def show(g: Generation) -> None:
-            failed = f", {g.failures} failed" if g.failures else ""
-            bar.update(task, note=f"co-simulations, {g.evaluations} designs, best {g.best:.4f}{failed}")
+        def advance(more: int) -> None:
+            nonlocal done
+            done = min(done + more, total)
+            note = words or ("reference" if done < each else "first designs")
+            bar.update(task, completed=done, note=note)
 
-        yield lambda count: bar.update(task, completed=count), show
+        def show(g: Generation) -> None:
+            nonlocal words
+            what = "co-simulations, " if request.objective == "coupled" else ""
+            failed = f", {g.failures} failed" if g.failures else ""
+            words = f"{what}{g.evaluations} designs, best {g.best:.4f}{failed}"
+            advance(max(0, (g.evaluations + 1) * each - done))
+
+        yield advance, show
 
 
 @contextmanager
 def polishing(folder: Path, quiet: bool) -> Iterator[Callable[[int, float], None]]:
     """Show how a polish gets on; if the user interrupts, say that the search's result is kept."""
-    with nullcontext() if quiet else err.status("polishing") as status:
+    with busy("polishing", quiet) as status:
 
         def show(count: int, best: float) -> None:
             if status is not None:
-                status.update(f"polishing: {count} evaluations, best {best:.7f} m")
+                status.update(Text(f"polishing: {count} evaluations, best {best:.7f} m"))
 
         try:
             yield show
         except KeyboardInterrupt:
-            warn(f"polish interrupted; {folder} has the result of the search, not polished")
-            raise typer.Exit(130) from None
+            raise Interrupted(f"polish interrupted; {folder} has the result of the search, not polished") from None
 
 
 def write_result(result: OptimisationResult, target: Path) -> list[Path]:

@@ -41,7 +41,7 @@ OF_CASES = ("damper", "seed", "fmus", "monolithic")
 
 def export(
     case: Annotated[str, typer.Argument(help="Load case: a name ('fowt list') or a .toml file.")],
-    damper: Annotated[str | None, typer.Option(help="Damper arrangement: none, tmd-n, tmd-p, mtmd.")] = None,
+    damper: Annotated[str | None, typer.Option(help="Damper arrangement, such as mtmd ('fowt list').")] = None,
     version: Annotated[str, typer.Option("--ssp", help="Version of SSP: 1.0 or 2.0.")] = "1.0",
     file: Annotated[Path | None, typer.Option("--out", metavar="FILE.ssp", help="The package to write.")] = None,
     swap: SwapOption = None,

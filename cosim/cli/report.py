@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import typer
 
-from cosim.cli.console import err, out, warn
+from cosim.cli.console import busy, out, warn
 from cosim.errors import CosimError
 
 if TYPE_CHECKING:
@@ -41,15 +41,17 @@ def report(
 ) -> None:
     """Write what a campaign found: one page with interactive figures, tables and the turbine in motion.
 
-    The page needs no network and no other file. Runs without a result are named and left out.
+    The page needs no network and no other file. Runs without a result are named
+    and left out.
+
     Example: [bold]fowt report runs/campaign --out report.html[/bold]
     """
-    with err.status("reading the runs"):
+    with busy("reading the runs"):
         study = read(folder)
     if lacking := study.lacking():
         names = ", ".join(r.name for r in lacking[:8]) + (f" and {len(lacking) - 8} more" if len(lacking) > 8 else "")
         warn(f"{len(lacking)} of {len(study.runs)} runs have no result and are left out: {names}")
-    with err.status("drawing"):
+    with busy("drawing"):
         written, what = write(
             study, kind, target or folder / (f"report{'' if kind is ReportFormat.HTML else f'-{kind}'}")
         )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,8 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cosim.case import read_case
-from cosim.cli.campaign import Options, carried_out
-from cosim.cli.console import Format, FormatOption, count_progress, emit, err, out
+from cosim.cli.campaign import carried_out
+from cosim.cli.campaign_plan import Options
+from cosim.cli.console import Format, FormatOption, busy, count_progress, emit, out
 from cosim.cli.identify import VERIFIED, identified
 from cosim.cli.methods import all_dampers
 from cosim.cli.optimise import CPUS, WorkersOption, simplified
@@ -48,7 +48,9 @@ class Settings:
 def reproduce(
     section: Annotated[
         list[int] | None,
-        typer.Option(help="4: identification; 5: optimisation; 6: load cases (120 runs). 4 and 5 by default."),
+        typer.Option(
+            metavar="N", help="4: identification; 5: optimisation; 6: load cases (120 runs). 4 and 5 by default."
+        ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the genetic algorithm.")] = 1,
     folder: Annotated[Path | None, typer.Option("--out", help="New folder for the results.")] = None,
@@ -57,7 +59,8 @@ def reproduce(
 ) -> None:
     """Redo tables and figures of Wang et al. (2022): PNG and CSV each, and summary.md over all.
 
-    Example, everything in a quarter of an hour: [bold]fowt reproduce --section 4 --section 5 --section 6[/bold]
+    Example, everything in a quarter of an hour:
+    [bold]fowt reproduce --section 4 --section 5 --section 6[/bold]
     """
     chosen = sorted(set(section or QUICK))
     unknown = next((s for s in chosen if s not in SECTIONS), None)
@@ -75,7 +78,7 @@ def reproduce(
             {"folder": str(settings.folder), "files": sorted(p.name for p in settings.folder.iterdir() if p.is_file())}
         )
         return
-    out.print("\n".join(line for line in parts if not line.startswith("![")), soft_wrap=True, markup=False)
+    out.print("\n".join(line for line in parts if not line.startswith("![")), soft_wrap=True)
     out.print(f"\nall of it with the figures: {settings.folder / SUMMARY}", soft_wrap=True)
 
 
@@ -130,7 +133,7 @@ def optimisation(settings: Settings) -> list[str]:
     table.to_csv(place / "table-4.csv", index=False)
     sets: dict[str, Path] = {r.damper: write_ssv(r, place / f"tuned-{r.damper}.ssv") for r in results}
     draw_convergence(results, place / "figure-6.png")
-    with nullcontext() if settings.quiet else err.status("free decays"):
+    with busy("free decays", settings.quiet):
         for name, parameters, title in (
             ("figure-7", sets, "optima of our genetic algorithm"),
             ("figure-7-table-4", {}, "parameters of the paper's table 4"),

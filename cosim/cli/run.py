@@ -17,7 +17,7 @@ from rich.text import Text
 
 from cosim.case import LoadCase, Number, qualified, read_case, with_damper
 from cosim.cli.build import build_fmus
-from cosim.cli.console import Format, FormatOption, emit, err, note, number, out, simulation_progress, warn
+from cosim.cli.console import Format, FormatOption, busy, emit, note, number, out, simulation_progress, warn
 from cosim.errors import CosimError, RunFailed, nearest
 from cosim.formats import convert, format_names
 from cosim.recording import read_channels
@@ -40,7 +40,7 @@ MapOption = Annotated[
         help="What a swapped FMU calls a variable, '-' if it has none; or a mapping file, FILE.ssm.",
     ),
 ]
-SsvOption = Annotated[list[Path] | None, typer.Option("--ssv", help="Parameter set file, such as tuned.ssv.")]
+SsvOption = Annotated[list[Path] | None, typer.Option("--ssv", metavar="FILE.ssv", help="Parameter set file.")]
 SeedOption = Annotated[int | None, typer.Option(min=0, help="Seed of wind and sea.")]
 UntilOption = Annotated[float | None, typer.Option(metavar="T", help="End of the run, s.")]
 StepOption = Annotated[float | None, typer.Option(metavar="H", help="Communication step, s.")]
@@ -57,6 +57,9 @@ EnergyOption = Annotated[
 IsolateOption = Annotated[
     list[str] | None,
     typer.Option("--isolate", metavar="COMPONENT", help="Run a component in a process of its own; or 'all'."),
+]
+CallTimeoutOption = Annotated[
+    float | None, typer.Option(metavar="T", help="Wall time for one call of an isolated component: 60 s.")
 ]
 FmusOption = Annotated[Path | None, typer.Option(help="Folder of FMUs to use instead of this package's own.")]
 
@@ -85,7 +88,7 @@ class Changes:
 
 def run(
     case: Annotated[str, typer.Argument(help="Load case: a name ('fowt list') or a .toml file; or a package, .ssp.")],
-    damper: Annotated[str | None, typer.Option(help="Damper arrangement: none, tmd-n, tmd-p, mtmd.")] = None,
+    damper: Annotated[str | None, typer.Option(help="Damper arrangement, such as mtmd ('fowt list').")] = None,
     swap: SwapOption = None,
     map_: MapOption = None,
     set_: SetOption = None,
@@ -95,7 +98,9 @@ def run(
     step: StepOption = None,
     folder: Annotated[Path | None, typer.Option("--out", help="New folder for the results.")] = None,
     fmus: FmusOption = None,
-    record: Annotated[list[str] | None, typer.Option(help="Record variables too, by pattern: 'barge.hub.*'.")] = None,
+    record: Annotated[
+        list[str] | None, typer.Option(metavar="PATTERN", help="Record variables too: 'barge.hub.*'.")
+    ] = None,
     algorithm: AlgorithmOption = None,
     extrapolation: ExtrapolationOption = None,
     tolerance: Annotated[float | None, typer.Option(help="Of iterations and algebraic loops, relative.")] = None,
@@ -110,21 +115,25 @@ def run(
     also: Annotated[
         str | None, typer.Option(metavar="FORMATS", help="Write the results in other formats too: csv,mat,outb.")
     ] = None,
+    call_timeout: CallTimeoutOption = None,
     output: FormatOption = Format.TEXT,
 ) -> None:
     """Co-simulate a load case and write results.parquet, summary.json, run.json and run.png.
 
-    A package (FILE.ssp), --swap and --fmus load binaries of the files that you name.
+    A package (FILE.ssp), --swap and --fmus load binaries of files that you name.
+
     Example: [bold]fowt run lc4 --damper mtmd --set nacelle_damper.k=6302 --seed 2[/bold]
     """
     stepping = {
         "algorithm": algorithm, "extrapolation": extrapolation, "tolerance": tolerance,
         "energy_tolerance": energy_tolerance, "rates": dict(_rate(r) for r in rate) if rate else None,
-        "isolate": tuple(isolate) if isolate else None,
+        "isolate": tuple(isolate) if isolate else None, "call_timeout": call_timeout,
     }  # fmt: skip
     chosen_stepping = [f"--{name.replace('_', '-').removesuffix('s')}" for name, v in stepping.items() if v is not None]
     if monolithic and chosen_stepping:
         raise CosimError(f"{chosen_stepping[0]} is for coupled components; --monolithic has one: leave either out")
+    if call_timeout is not None and not isolate:
+        raise CosimError("--call-timeout is for components in processes of their own: add --isolate COMPONENT")
     changes = Changes(
         swap or (), map_ or (), set_ or (), ssv or (), seed, until, step, fmus, record or (), stepping, monolithic
     )
@@ -297,14 +306,8 @@ def wind_file(case: LoadCase, seed: int, stop: float, quiet: bool) -> Path:
         spacing = spec.grid_width / (spec.grid_points - 1)
         points = 2 * math.ceil(case.wind.width / (2.0 * spacing) - 1e-9) + 1
         spec = replace(spec, grid_width=case.wind.width, grid_points=points)
-    with err.status("generating the turbulent wind") if not quiet else _nothing():
+    with busy("generating the turbulent wind", quiet):
         return cached_box(spec, user_cache_path("fowt-cosim") / "wind")
-
-
-class _nothing:
-    def __enter__(self) -> None: ...
-
-    def __exit__(self, *details: object) -> None: ...
 
 
 def _pair(item: str, option: str, form: str) -> tuple[str, str]:

@@ -13,6 +13,7 @@ import numpy as np
 
 from cosim.case import case_folder, read_case, read_dampers
 from cosim.cli.run import _pair
+from cosim.cli.seeds import parsed_seeds
 from cosim.errors import CosimError, nearest
 from cosim.ssp import read_parameters
 
@@ -135,7 +136,7 @@ def parsed_scenarios(cases: str, seeds: str | None, vary: Sequence[str]) -> tupl
     """Every case with every seed (its own by default) and every value of the varied parameters.
 
     Args:
-        cases: "lc1,lc3", or with weights "lc1=2,lc3"; seeds: "1,2" or "1:10"; vary: "COMPONENT.PARAM=V1,V2,...".
+        cases: "lc1,lc3", or with weights "lc1=2,lc3"; seeds: see `parsed_seeds`; vary: "COMPONENT.PARAM=V1,V2,...".
     """
     from optimisation.scenarios import Scenario
 
@@ -147,7 +148,7 @@ def parsed_scenarios(cases: str, seeds: str | None, vary: Sequence[str]) -> tupl
         own: list[int | None] = [case.seed] if case.seed_parameters else [None]
         if seeds is not None and not case.seed_parameters:
             raise CosimError(f"--seeds {seeds}: {name} has no random wind or sea; leave it out")
-        for seed, values in product(own if seeds is None else _seeds(seeds), product(*varied)):
+        for seed, values in product(own if seeds is None else parsed_seeds(seeds), product(*varied)):
             scenarios.append(Scenario(name, seed, dict(values), _number(item, weight) if weight else 1.0))
     if not scenarios:
         raise CosimError("--cases names no load case; 'fowt list' shows all")
@@ -174,17 +175,6 @@ def _number(name: str, text: str) -> float:
     if not np.isfinite(value):
         raise CosimError(f"{name}: '{text}' is no finite number")
     return value
-
-
-def _seeds(text: str) -> list[int]:
-    try:
-        low, colon, high = text.partition(":")
-        found = list(range(int(low), int(high) + 1)) if colon else [int(part) for part in text.split(",")]
-    except ValueError:
-        found = []
-    if not found or min(found) < 0:
-        raise CosimError(f"--seeds {text}: write them as 1,2,3 or 1:3")
-    return list(dict.fromkeys(found))
 
 
 def design_values(source: str, option: str) -> dict[str, float]:

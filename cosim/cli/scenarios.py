@@ -14,9 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from cosim.archive import sha256
-from cosim.case import LoadCase, qualified, read_case
+from cosim.case import LoadCase, Number, qualified, read_case
 from cosim.cli.console import warn
-from cosim.cli.run import Changes, prepare
+from cosim.cli.run import Changes, _value, prepare
 from cosim.cli.scenario_options import design_values
 from cosim.errors import CosimError, RunFailed, nearest
 from cosim.recording import Channel, read_channels
@@ -114,15 +114,18 @@ def _judge_spectral(request: Request, folder: Path | None) -> Judged:
 
 def _prior(request: Request, models: Mapping[Path, LinearModel]) -> tuple[Callable[[Array], Array], dict[str, str]]:
     """Responses by the linear models of the request's scenarios, and these models' digests."""
-    files = {m.label: f for f, m in models.items()}
     found = {}
     for s in request.scenarios:
-        # a model of the case alone is one of its own seed
-        names = (s.label, f"{s.case}-seed{s.seed}", *((s.case,) if not s.overrides else ()))
-        name = next((n for n in names if n in files), None)
-        if name is None:
-            raise CosimError(f"--models: none of '{s.label}'; there are {', '.join(files)}")
-        found[s.label] = files[name]
+        case = read_case(s.case)
+        files = [f for f, m in models.items() if _is_of(m, case, s, request.parameters)]
+        if len(files) != 1:
+            those = f"{len(files)} ({', '.join(f.name for f in files)})" if files else "none"
+            others = [m.label for m in models.values()]
+            raise CosimError(
+                f"--models: {those} of '{s.label}'; name a folder with one, made by 'fowt linearise' with the case's"
+                f" --seeds, --vary and --set (there are {', '.join(others[:6])}{', ...' * (len(others) > 6)})"
+            )
+        found[s.label] = files[0]
     chosen = [models[file] for file in found.values()]
     responses = SpectralResponses(request, chosen, [v.name for v in request.task().variables])
 
@@ -130,6 +133,28 @@ def _prior(request: Request, models: Mapping[Path, LinearModel]) -> tuple[Callab
         return responses(candidates).reshape(len(candidates), -1)
 
     return prior, {f"{label}, linear": sha256(file) for label, file in found.items()}
+
+
+def _is_of(model: LinearModel, case: LoadCase, scenario: Scenario, parameters: Mapping[str, float]) -> bool:
+    """Whether a model was made in a scenario's case and seed, and with the search's parameters as the scenario changes
+    them; the dampers' are told to the model as it is evaluated, the same in all scenarios."""
+    own = case.seed if scenario.seed is None else scenario.seed
+    same_seed = model.about.get("seed", own) == own or not (case.seed_parameters or case.wind)
+    free = _damper_values(model)
+    given = {n: v for n, v in _made_with(model).items() if n not in free}
+    wanted = {n: v for n, v in parameters.items() if n not in free} | dict(scenario.overrides)
+    return model.about.get("case") == case.name and same_seed and given == wanted
+
+
+def _damper_values(model: LinearModel) -> set[str]:
+    """Names of what a linear model leaves to the design, or knows of its dampers."""
+    return {f"{d.name}.{q}" for d in model.dampers for q in ("m", "k", "c", "stroke", "k_stop", "c_stop")}
+
+
+def _made_with(model: LinearModel) -> dict[str, Number]:
+    """Values that a model was made with by --set and --vary."""
+    given = dict(item.split("=", 1) for item in model.about.get("set", ()))
+    return {name: _value(text) for name, text in given.items()}
 
 
 class SpectralResponses:
@@ -153,9 +178,9 @@ class SpectralResponses:
         theirs = sorted(d.name for d in models[0].dampers)
         if wanted != theirs:
             raise CosimError(f"the linear models have {' and '.join(theirs)}, {request.damper} {' and '.join(wanted)}")
-        known = [f"{d.name}.{q}" for d in models[0].dampers for q in ("m", "k", "c", "stroke", "k_stop", "c_stop")]
-        for name in request.parameters:
-            if name not in known:
+        known = _damper_values(models[0])
+        for name, value in request.parameters.items():
+            if name not in known and any(_made_with(m).get(name) != value for m in models):
                 raise CosimError(
                     f"'{name}' is fixed in the linear models: make some with 'fowt linearise --set {name}=VALUE'"
                 )

@@ -14,13 +14,24 @@ from rich.table import Table
 from rich.text import Text
 
 from cosim.case import LoadCase, Number, case_folder, read_case
-from cosim.cli.console import Format, FormatOption, emit, err, failure, note, number, out, simulation_progress, warn
+from cosim.cli.console import (
+    Format,
+    FormatOption,
+    Interrupted,
+    busy,
+    emit,
+    failure,
+    note,
+    number,
+    out,
+    simulation_progress,
+    warn,
+)
 from cosim.cli.run import Changes, prepare
 from cosim.errors import CosimError, nearest
 from cosim.fmu import read_fmu
 from cosim.recording import read_channels
 from cosim.verification.plan import Comparison, choose, read_plan
-from cosim.verification.plots import plot_curve, plot_histories
 from cosim.verification.reference import Record
 from cosim.verification.runs import Job, Outcome, Stopped, run_all
 from cosim.verification.sources import from_figures, from_folder
@@ -50,7 +61,9 @@ def verify(
 ) -> None:
     """Run this model beside OpenFAST results: one table of differences and tolerances, and overlaid pictures.
 
-    Exits with 0 if every row passes, with 1 if not. Without --against, it uses the figures that ship with the package.
+    Exits with 0 if every row passes, with 1 if not. Without --against, it uses
+    the figures that ship with the package.
+
     Example: [bold]fowt verify decay --against results[/bold]
     """
     quiet = output is Format.JSON
@@ -206,8 +219,9 @@ def _run(setups: Mapping[str, Setup], folder: Path, workers: int, quiet: bool) -
         except Stopped as stopped:
             progress.stop()
             done = len(stopped.done)
-            warn(f"stopped by the user; {done} of {len(jobs)} runs are kept in {folder} and used by the next call")
-            raise typer.Exit(130) from stopped
+            raise Interrupted(
+                f"stopped by the user; {done} of {len(jobs)} runs are kept in {folder} and used by the next call"
+            ) from stopped
     for name, outcome in outcomes.items():
         if outcome.error:
             failure(f"{name}: {outcome.error} ({outcome.folder})")
@@ -222,8 +236,10 @@ def _draw(
     setups: Mapping[str, Setup],
     folder: Path,
 ) -> list[Path]:
+    from cosim.verification.plots import plot_curve, plot_histories
+
     pictures: list[Path | None] = []
-    with err.status("drawing"):
+    with busy("drawing"):
         for name, comparison in chosen.items():
             record = references[name].record
             if record is not None and name in runs:

@@ -6,6 +6,7 @@
   const all = (selector, from = document) => [...from.querySelectorAll(selector)];
   const plotly = window.Plotly;
   const drawn = new Map(); // plot element -> variant shown
+  const options = { displaylogo: false, responsive: true, modeBarButtonsToRemove: ["select2d", "lasso2d", "sendChartToCloud"] };
   let printing = false;
 
   // ---- theme
@@ -53,7 +54,7 @@
     const key = variantOf(element);
     if (drawn.get(element) === key && !again) return;
     const { data, layout } = themed(specs[element.dataset.plot][key], printing ? element.clientWidth : 0);
-    plotly.react(element, data, layout, { displaylogo: false, displayModeBar: printing ? false : "hover", responsive: true, modeBarButtonsToRemove: ["select2d", "lasso2d", "sendChartToCloud"] });
+    plotly.react(element, data, layout, { ...options, displayModeBar: printing ? false : "hover" });
     drawn.set(element, key);
     const figure = element.closest("figure");
     for (const part of all(".variant", figure)) part.hidden = part.dataset.variant !== key;
@@ -90,18 +91,36 @@
     });
   });
 
-  // ---- print: all parts, light, figures as wide as the paper's columns
+  // ---- print: all parts and load cases, light, figures as wide as the paper's columns
+  function drawEveryCase(element) { // above the caption of each; the one on the screen is hidden meanwhile
+    const variants = specs[element.dataset.plot], figure = element.closest("figure");
+    figure.classList.add("every-case");
+    for (const part of all(".variant", figure)) {
+      const copy = document.createElement("div");
+      copy.className = "copy";
+      part.hidden = false;
+      part.prepend(copy);
+      const { data, layout } = themed(variants[part.dataset.variant], copy.clientWidth);
+      plotly.newPlot(copy, data, layout, { ...options, displayModeBar: false });
+    }
+  }
+  function removeCopies() {
+    for (const copy of all(".copy")) { plotly.purge(copy); copy.remove(); }
+    for (const figure of all(".every-case")) figure.classList.remove("every-case");
+  }
   addEventListener("beforeprint", () => {
     printing = true;
     root.dataset.theme = "light";
     root.classList.add("printing"); // as wide as the paper, so that figures are drawn to fit it
     all(".panel").forEach((p) => p.classList.add("active"));
-    all(".plot").forEach((p) => draw(p, true));
+    removeCopies(); // of a print that did not end
+    for (const p of all(".plot")) Object.keys(specs[p.dataset.plot]).length > 1 ? drawEveryCase(p) : draw(p, true);
     document.dispatchEvent(new Event("themechange"));
   });
   addEventListener("afterprint", () => {
     printing = false;
     root.classList.remove("printing");
+    removeCopies();
     show(tabs.find((t) => t.getAttribute("aria-selected") === "true"));
     applyTheme();
   });
