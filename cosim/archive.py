@@ -9,6 +9,7 @@ from __future__ import annotations
 import errno
 import hashlib
 import lzma
+import re
 import stat
 import unicodedata
 import zipfile
@@ -16,7 +17,7 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 from xml.parsers import expat
 
@@ -26,6 +27,7 @@ from cosim.errors import CosimError
 
 CHUNK = 1 << 20
 XML_BYTES = 100_000_000
+NAME_BYTES, NAME_SUFFIX = 150, 20  # of a file's name that we choose: bytes before the suffix, letters of that
 # Windows opens devices by these names in every folder, whatever follows a dot
 DEVICES = {"CON", "PRN", "AUX", "NUL", "CONIN$", "CONOUT$", "CLOCK$"} | {
     f"{port}{n}" for port in ("COM", "LPT") for n in "0123456789¹²³"
@@ -156,6 +158,19 @@ def parse_xml(content: bytes, where: str) -> Any:
         raise CosimError(f"{where}: cannot be read ({_line(error)})") from error
 
 
+def safe_name(name: str) -> str:
+    """A file name like the one given that every system can unpack; no folder in it."""
+    whole = PurePosixPath(re.sub(r"[^\w.\-+]", "_", name).strip("."))
+    suffix = whole.suffix[:NAME_SUFFIX]
+    plain = (whole.stem.encode()[:NAME_BYTES].decode(errors="ignore") + suffix).rstrip(".") or "file"
+    return f"_{plain}" if _bad_name(plain) else plain
+
+
+def folded(path: str) -> str:
+    """A path as a system without upper and lower case sees it: what folds alike is one file there."""
+    return unicodedata.normalize("NFC", path.casefold())
+
+
 def sha256(path: Path) -> str:
     """SHA-256 of a file, in hexadecimal digits."""
     with path.open("rb") as file:
@@ -172,16 +187,17 @@ def _check(entries: list[zipfile.ZipInfo], limits: Limits) -> None:
         raise BadArchive(f"unpacks to {unpacked / max(packed, 1):.0f} times its size, more than {limits.ratio:g} times")
     seen: dict[str, tuple[str, bool]] = {}  # as a system without upper and lower case sees it: name, whether a file
     for entry in entries:
-        name = entry.orig_filename  # zipfile's own is mended on Windows
-        if reason := _bad_name(name) or _bad_kind(entry):
-            raise BadArchive(f"entry '{_shown(name)}' {reason}")
+        name = entry.filename  # what is unpacked; zipfile may have made it of the one in the list
+        if reason := _bad_name(name) or _bad_name(entry.orig_filename) or _bad_kind(entry):
+            other = "" if name == entry.orig_filename else f", unpacked as '{_shown(name)}',"
+            raise BadArchive(f"entry '{_shown(entry.orig_filename)}'{other} {reason}")
         parts = name.rstrip("/").split("/")
         for depth in range(1, len(parts) + 1):
             path, file = "/".join(parts[:depth]), depth == len(parts) and not name.endswith("/")
-            known, is_file = seen.get(_folded(path), (path, False))
-            if known != path or is_file or (file and _folded(path) in seen):
+            known, is_file = seen.get(folded(path), (path, False))
+            if known != path or is_file or (file and folded(path) in seen):
                 raise BadArchive(f"entries '{_shown(known)}' and '{_shown(path)}' are one file on some systems")
-            seen[_folded(path)] = path, file
+            seen[folded(path)] = path, file
 
 
 def _bad_name(name: str) -> str:
@@ -210,10 +226,6 @@ def _bad_kind(entry: zipfile.ZipInfo) -> str:
     if stat.S_IFMT(mode) not in (0, stat.S_IFREG, stat.S_IFDIR):
         return "is a link" if stat.S_ISLNK(mode) else "is no file"
     return "is encrypted; pack it without password" if entry.flag_bits & 0x1 else ""
-
-
-def _folded(path: str) -> str:
-    return unicodedata.normalize("NFC", path.casefold())
 
 
 def _shown(name: str) -> str:

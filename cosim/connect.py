@@ -55,8 +55,13 @@ def _find_ports(fmus: Mapping[str, Path], connections: Sequence[Connection]) -> 
     """Mechanical ports: forces and moments that a component takes, each with the velocity that it has there.
 
     That of `P.force` is its output `P.velocity`; failing that, `Q.velocity`, where the component that gives the force
-    takes `Q.position` or another quantity of Q.
+    takes `Q.position` or another quantity of Q. A force with one element that varies has all its elements in the port:
+    what a damper of today leaves at zero, another in its place need not.
     """
+    varying = {
+        (c.target, _array(c.input)) for c in connections
+        if read_fmu(fmus[c.source]).variables[c.output].variability != "discrete"
+    }  # fmt: skip
     ports = []
     for name, path in fmus.items():
         outputs, pairs = set(_of(path, "output")), defaultdict[str, list[tuple[str, str, str]]](list)
@@ -69,11 +74,15 @@ def _find_ports(fmus: Mapping[str, Path], connections: Sequence[Connection]) -> 
             taken = [k.output.rpartition(".")[0] for k in connections if (k.source, k.target) == (name, c.source)]
             places = dict.fromkeys([prefix, *taken])
             place = next((p for p in places if f"{p}.{flow}{index}" in outputs), None)
-            if place is not None and read_fmu(fmus[c.source]).variables[c.output].variability != "discrete":
+            if place is not None and (name, _array(c.input)) in varying:
                 moved = f"{place}.{position}{index}"
                 pairs[prefix].append((c.input, f"{place}.{flow}{index}", moved if moved in outputs else ""))
         ports += [Port(prefix, name, tuple(found)) for prefix, found in pairs.items()]
     return tuple(ports)
+
+
+def _array(variable: str) -> str:
+    return variable.partition("[")[0]
 
 
 def _of(path: Path, causality: str) -> list[str]:

@@ -10,6 +10,7 @@ without a word.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -40,6 +41,7 @@ __all__ = ["PORTS", "RUN", "Structure", "read_mapping", "read_package", "read_pa
 PORTS = "org.fowt-cosim.ports"  # type of the SSD annotation that lists mechanical ports
 RUN = "org.fowt-cosim.run"  # and of the one that says how the system is run
 STRUCTURE = "SystemStructure.ssd"
+MOST = 2000  # components and systems in one structure
 End = tuple[str, str]  # path of a component or system, connector
 
 
@@ -83,7 +85,13 @@ def read_package(ssp: Path, folder: Path) -> Structure:
     extract(ssp, folder)
     if not (folder / STRUCTURE).is_file():
         raise CosimError(f"{ssp}: has no {STRUCTURE}; is it an SSP package?")
-    return _read(Origin(folder / STRUCTURE, folder))
+    try:
+        found = _read(Origin(folder / STRUCTURE, folder))
+    except CosimError as error:  # files by their names in the package, not by where they were unpacked
+        raise CosimError(str(error).replace(f"{folder}{os.sep}", f"{ssp}{os.sep}")) from error
+    others = sorted(p.name for p in folder.glob("*.ssd") if p.name != STRUCTURE)
+    notes = [f"{ssp.name}: only {STRUCTURE} is used, not {', '.join(others)}"] if others else []
+    return replace(found, system=replace(found.system, notes=(*found.system.notes, *notes)))
 
 
 def _read(origin: Origin, folders: Sequence[Path] = ()) -> Structure:
@@ -94,6 +102,8 @@ def _read(origin: Origin, folders: Sequence[Path] = ()) -> Structure:
     whole = _Whole(origin, folders, units_of(root, origin.file))
     whole.add(top, "")
     connections = whole.resolve()
+    if not (root.get("version") or "").startswith(("1.", "2.")):
+        whole.notes.append(f"{origin.file.name}: says version '{root.get('version')}'; is read as SSP 2.0")
     name = top.get("name") or origin.file.stem
     system = System(name, tuple(whole.components), connections, ports=_ports(top, origin.file))
     for path, values in whole.values:  # a set bound to a system takes precedence over those bound within
@@ -110,10 +120,12 @@ class _Whole:
     folders: Sequence[Path]
     units: dict[str, Unit]
     components: list[ComponentInstance] = field(default_factory=list)
+    names: set[str] = field(default_factory=set)  # of the components
     systems: set[str] = field(default_factory=set)
     links: list[tuple[End, End, Connection]] = field(default_factory=list)
     values: list[tuple[str, dict[str, StartValue]]] = field(default_factory=list)
     connectors: dict[End, Unit | None] = field(default_factory=dict)
+    parameters: set[End] = field(default_factory=set)  # those of the kind parameter
     notes: list[str] = field(default_factory=list)
 
     def add(self, system: Any, path: str) -> None:
@@ -126,11 +138,14 @@ class _Whole:
             full = f"{path}.{name}" if path else str(name)
             if not name:
                 raise CosimError(f"{file}: a {kind} has no name")
-            if full in self.systems or full in (c.name for c in self.components):
+            if full in self.systems or full in self.names:
                 raise CosimError(f"{file}: component '{full}' appears twice; give each its own name")
+            if len(self.names) + len(self.systems) > MOST:
+                raise CosimError(f"{file}: has more than {MOST} components and systems; is that meant?")
             if kind == "System":
                 self.add(element, full)
             elif kind == "Component":
+                self.names.add(full)
                 self._add_connectors(element, full)
                 self.components.append(self._component(element, full))
             else:
@@ -146,17 +161,22 @@ class _Whole:
         found = []
         for start, end, link in self.links:
             if end[0] in self.systems:
+                if end[0] and end not in self._starting_at:
+                    self.notes.append(
+                        f"{self.origin.file.name}: the connection of {'.'.join(start)} to '{end[1]}' of {end[0]} leads"
+                        " nowhere and is not used"
+                    )
                 continue
             if start[0] not in self.systems:
                 found.append(link)
                 continue
             chain = self._back(start, [link])
-            if chain is None:
+            if chain is None and start not in self.parameters:  # those pass on values of parameter sets
                 self.notes.append(
                     f"{self.origin.file.name}: the connection of {'.'.join(end)} to the system's own connector"
                     f" '{start[1]}' is not used"
                 )
-            else:
+            elif chain is not None:
                 found.append(_joined(chain, self.origin.file))
         return tuple(found)
 
@@ -263,7 +283,10 @@ class _Whole:
     def _add_connectors(self, element: Any, path: str) -> None:
         for connector in children(element.find("{*}Connectors")):
             name = next((t.get("unit") for t in children(connector) if t.get("unit")), None)
-            self.connectors[path, connector.get("name") or ""] = self._unit(name)
+            end = path, connector.get("name") or ""
+            self.connectors[end] = self._unit(name)
+            if connector.get("kind") in ("parameter", "structuralParameter"):
+                self.parameters.add(end)
 
     def _unit(self, name: str | None) -> Unit | None:
         if name is None or name in self.units:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +20,9 @@ from fmus_src.units import Unit
 from fmus_src.units import unit as named_unit
 
 REALS = ("Real", "Float64", "Float32")
+KINDS = {
+    "ParameterSet": "application/x-ssp-parameter-set", "ParameterMapping": "application/x-ssp-parameter-mapping",
+}  # fmt: skip
 INTEGERS = ("Integer", *(f"{sign}Int{bits}" for sign in ("", "U") for bits in (8, 16, 32, 64)))
 
 
@@ -34,22 +38,37 @@ class Origin:
     root: Path | None = None
 
     def locate(self, source: str) -> Path:
-        """The file that a source names.
+        """The file that a source names, which is a URI: %20 stands for a blank.
 
         Raises:
             CosimError: it is no relative path, or leads out of the package.
         """
-        path = self.file.parent / unquote(source)
-        scheme = source.partition(":")[0] if ":" in source else ""
+        scheme, path = source.partition(":")[0] if ":" in source else "", self.file.parent / unquote(source)
         try:
-            inside = self.root is None or path.resolve().is_relative_to(self.root.resolve())
+            path.resolve()
             path.is_file()
         except (OSError, ValueError):  # too long, or with a zero byte
             scheme = "none"
         if len(scheme) > 1:
             raise CosimError(f"{self.file}: source '{source}' is no path relative to the file; put it beside it")
-        if not inside:
-            raise CosimError(f"{self.file}: source '{source}' leads out of the package")
+        return self._within(path, f"source '{source}'")
+
+    def beside(self, text: str) -> Path | None:
+        """The file that a plain text names, as it stands; None if there is none.
+
+        Raises:
+            CosimError: there is one, but out of the package.
+        """
+        path = self.file.parent / text
+        try:
+            found = bool(text) and path.is_file()
+        except (OSError, ValueError):  # too long for a path, or with a zero byte
+            found = False
+        return self._within(path, f"text '{text}'") if found else None
+
+    def _within(self, path: Path, what: str) -> Path:
+        if self.root is not None and not path.resolve().is_relative_to(self.root.resolve()):
+            raise CosimError(f"{self.file}: {what} leads out of the package")
         return path
 
     def other(self, source: str) -> Origin:
@@ -114,24 +133,31 @@ def bindings(element: Any, origin: Origin) -> Iterator[tuple[dict[str, StartValu
 
 def _content(element: Any, origin: Origin, wrapper: str, tag: str, what: str) -> tuple[Origin, Any]:
     """The root element that `source` names, or that stands inside."""
-    source = element.get("source")
+    source, kind = element.get("source"), element.get("type", KINDS[tag])
+    inline = element.find(f"{{*}}{wrapper}/{{*}}{tag}" if wrapper else f"{{*}}{tag}")
+    if kind != KINDS[tag]:
+        raise CosimError(f"{origin.file}: {what} is of the type {kind}; only {KINDS[tag]} is supported")
     if source is not None:
+        if inline is not None:
+            raise CosimError(f"{origin.file}: {what} has both the source '{source}' and {tag}; keep one")
         place = origin.other(source)
         return place, parse(place, tag)
-    inline = element.find(f"{{*}}{wrapper}/{{*}}{tag}" if wrapper else f"{{*}}{tag}")
     if inline is None:
         raise CosimError(f"{origin.file}: {what} has neither source nor {wrapper or tag}")
     return origin, inline
 
 
 def _mapping(element: Any, origin: Origin) -> tuple[Entry, ...]:
-    entries = []
+    entries, targets = [], set()
     for item in children(element):
         if tag_of(item) != "MappingEntry":
             continue
         source, target = item.get("source"), item.get("target")
         if not (source and target):
             raise CosimError(f"{origin.file}: a MappingEntry needs source and target")
+        if target in targets:
+            raise CosimError(f"{origin.file}: two entries have the target '{target}'; keep one")
+        targets.add(target)
         factor, offset = transformation(item, f"{origin.file}: {source}")
         entries.append(Entry(source, target, factor, offset, not true(item.get("suppressUnitConversion"))))
     return tuple(entries)
@@ -164,13 +190,18 @@ def transformation(element: Any, where: str) -> tuple[float, float]:
         CosimError: it has another transformation, or one with values that are no numbers.
     """
     factor, offset = 1.0, 0.0
-    for child in children(element):
+    found = [child for child in children(element) if tag_of(child).endswith("Transformation")]
+    if len(found) > 1:
+        raise CosimError(f"{where}: has {len(found)} transformations; keep one")
+    for child in found:
         if tag_of(child) == "LinearTransformation":
             try:
                 factor, offset = float(child.get("factor", 1.0)), float(child.get("offset", 0.0))
             except ValueError as error:
                 raise CosimError(f"{where}: LinearTransformation: {error}") from error
-        elif tag_of(child).endswith("Transformation"):
+            if not (math.isfinite(factor) and math.isfinite(offset)):
+                raise CosimError(f"{where}: LinearTransformation: factor {factor:g}, offset {offset:g} are not finite")
+        else:
             raise CosimError(f"{where}: {tag_of(child)} is not supported; only LinearTransformation is")
     return factor, offset
 
@@ -228,6 +259,8 @@ def _parameter_set(element: Any, origin: Origin) -> dict[str, StartValue]:
         )
         if not name or not typed:
             raise CosimError(f"{file}: parameter '{name or '?'}' has no {'value' if name else 'name'}")
+        if name in values:
+            raise CosimError(f"{file}: parameter '{name}' appears twice; keep one")
         text, unit = typed[0].get("value", ""), typed[0].get("unit")
         if not text and tag_of(typed[0]) == "String" and len(typed[0]) == 1:  # SSP 2.0
             text = typed[0][0].get("value", "")
@@ -257,14 +290,13 @@ def _value(typed: Any, text: str, parameters: Any, origin: Origin) -> Value:
         kinds = parameters.iterfind("{*}Enumerations/{*}Enumeration")
         own = [k for k in kinds if k.get("name") == typed.get("name")]
         named = {i.get("name"): i.get("value", "") for k in own for i in k.iterfind("{*}Item")}
-        return int(named.get(text, text))
+        value = named.get(text, text)
+        if not re.fullmatch(r"[+-]?\d{1,18}", value):
+            raise ValueError("is neither a number nor an item of an enumeration in this file")
+        return int(value)
     if kind == "String":
-        path = origin.file.parent / text
-        try:
-            beside = bool(text) and path.is_file()
-        except (OSError, ValueError):  # too long for a path, or with a zero byte
-            beside = False
-        return str(origin.locate(text).resolve()) if beside else text
+        file = origin.beside(text)
+        return text if file is None else str(file.resolve())
     raise ValueError(f"is no {kind} value that can be set here")
 
 

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import re
 import zipfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, TypeGuard
 from urllib.parse import quote
 
 from lxml import etree
 
+from cosim.archive import entry_names, folded, safe_name
 from cosim.checks import CheckedSystem, Link, check
 from cosim.errors import CosimError
 from cosim.fmu import FmuVariable, Value, read_fmu
+from cosim.resources import finds_resources, with_resources
 from cosim.run import RunSettings
 from cosim.ssp import PORTS, RUN, STRUCTURE
 from cosim.system import ComponentInstance, Port, System
@@ -44,8 +45,8 @@ def write_package(
 
     Each component that has start values gets a parameter set `resources/COMPONENT.ssv`, in the FMU's units and by the
     system's names; where its FMU has other names, `resources/COMPONENT.ssm` maps them. Connections carry their
-    conversion of units as a factor, since some tools do not convert. Files named by text parameters are put into
-    resources/, and named without folder.
+    conversion of units as a factor, since some tools do not convert. Files named by text parameters are put into the
+    resources/ of the FMU itself if it looks for them there, else into the package's, and named without folder.
 
     Args:
         mappings: if not, parameter sets go by the FMUs' own names, for tools that read no `.ssm`.
@@ -84,6 +85,23 @@ class _Content:
     def __init__(self) -> None:
         self.entries: dict[str, bytes | Path] = {}
         self._names: dict[Path, str] = {}
+        self._brought: dict[Path, dict[str, Path]] = {}  # files in the resources of an FMU, by folded name
+
+    def named_file(self, text: str, fmu: Path, owner: str) -> str:
+        """What a text parameter is to say in the package; a file that it names is put where the FMU finds it."""
+        if not text or not _is_file(text):
+            return text
+        if not finds_resources(fmu):
+            return self.file(Path(text), owner).removeprefix("resources/")
+        if f"resources/{text}" in entry_names(fmu):  # the FMU takes its own
+            return text
+        place, brought = Path(text).resolve(), self._brought.setdefault(fmu.resolve(), {})
+        known = next((n for n, p in brought.items() if p == place), None)
+        if known is None:
+            taken = {folded(n.removeprefix("resources/")) for n in (*entry_names(fmu), *brought)}
+            known = _free(place.name, owner, taken)
+            brought[known] = place
+        return known
 
     def file(self, path: Path, owner: str) -> str:
         """Name within the package of a file; one that several use is put there once."""
@@ -95,11 +113,7 @@ class _Content:
 
     def free(self, name: str, owner: str) -> str:
         """A free name in resources/, with the owner's before it if need be."""
-        plain = re.sub(r"[^\w.\-+]", "_", name).strip(".") or "file"
-        prefix = re.sub(r"[^\w\-]", "_", owner)
-        taken = {n.casefold() for n in self.entries}
-        tries = [plain, *(f"{prefix}{'-' * i}{plain}" for i in range(1, len(taken) + 2))]
-        return next(f"resources/{n}" for n in tries if f"resources/{n}".casefold() not in taken)
+        return "resources/" + _free(name, owner, {folded(n.removeprefix("resources/")) for n in self.entries})
 
     def pack(self, path: Path) -> None:
         with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as package:
@@ -107,7 +121,19 @@ class _Content:
                 info = zipfile.ZipInfo(name, _EPOCH)
                 packed_already = name.endswith(".fmu")
                 info.compress_type = zipfile.ZIP_STORED if packed_already else zipfile.ZIP_DEFLATED
-                package.writestr(info, content if isinstance(content, bytes) else content.read_bytes())
+                package.writestr(info, self._bytes(content))
+
+    def _bytes(self, content: bytes | Path) -> bytes:
+        if isinstance(content, bytes):
+            return content
+        brought = self._brought.get(content)
+        return with_resources(content, brought) if brought else content.read_bytes()
+
+
+def _free(name: str, owner: str, taken: Collection[str]) -> str:
+    """A name that any system can unpack and that is not taken (folded names), the owner's before it if need be."""
+    tries = (name, f"{owner}-{name}", *(f"{i}-{owner}-{name}" for i in range(2, len(taken) + 3)))
+    return next(n for n in map(safe_name, tries) if folded(n) not in taken)
 
 
 def _structure(
@@ -162,7 +188,7 @@ def _bind(
     ssv = content.free(f"{component.name}.ssv", component.name)
     content.entries[ssv] = _parameter_set(
         component.name, {names[n]: (variables[n], v) for n, v in start.items()}, version,
-        lambda text: content.file(Path(text), component.name).removeprefix("resources/"),
+        lambda text: content.named_file(text, component.fmu, component.name),
     )  # fmt: skip
     parent = etree.SubElement(element, f"{{{_SSD}}}ParameterBindings")
     binding = etree.SubElement(parent, f"{{{_SSD}}}ParameterBinding", source=quote(ssv))
@@ -178,7 +204,7 @@ def _bind(
 def _parameter_set(
     name: str, values: Mapping[str, tuple[FmuVariable, Value]], version: Version, packed: Callable[[str], str]
 ) -> bytes:
-    """The text of a parameter set; `packed` puts a file into the package and returns its name there."""
+    """The text of a parameter set; `packed` puts the file that a text names, if any, into the package."""
     root = etree.Element(
         f"{{{_SSV}}}ParameterSet", {"version": version, "name": name}, nsmap={"ssv": _SSV, "ssc": _SSC}
     )
@@ -186,7 +212,7 @@ def _parameter_set(
     for parameter, (variable, value) in values.items():
         element = etree.SubElement(parameters, f"{{{_SSV}}}Parameter", name=parameter)
         if isinstance(value, str):
-            value = packed(value) if value and _is_file(value) else value
+            value = packed(value)
         text = (
             str(value).lower() if isinstance(value, bool) else repr(value) if isinstance(value, float) else str(value)
         )

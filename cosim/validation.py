@@ -1,4 +1,4 @@
-"""Whether an FMU can be relied on: its description, its platforms, and trials of its binary in a process of its own."""
+"""Whether an FMU can be relied on: its description, its platforms, trials of its binary in a process of its own."""
 
 from __future__ import annotations
 
@@ -15,15 +15,18 @@ import fmpy
 import fmpy.validation
 
 from cosim import archive
+from cosim.checks import check
 from cosim.errors import CosimError
 from cosim.fmu import read_description
 from cosim.inspection import platforms
 from cosim.isolation import describe_end
+from cosim.ssp import STRUCTURE, read_package
 from fmus_src.units import unit as named_unit
 
 TIMEOUT = 60.0  # s
 STEP = 0.0125  # s
 Status = Literal["ok", "warning", "fail", "skipped"]
+ORDER: tuple[Status, ...] = ("ok", "skipped", "warning", "fail")
 
 
 @dataclass(frozen=True)
@@ -36,11 +39,11 @@ class Finding:
 
 
 def validate(path: Path, step: float | None = None, timeout: float = TIMEOUT) -> list[Finding]:
-    """Check an FMU; its binary is loaded in another process, which may crash or hang without harm.
+    """Check an FMU, or an SSP package; binaries are loaded in another process, which may crash or hang without harm.
 
     Args:
         step: of the trials, s; by default the FMU's own, else 0.0125 s.
-        timeout: wall time of all trials, s.
+        timeout: wall time of all trials of an FMU, s.
 
     Raises:
         CosimError: no such file.
@@ -49,6 +52,8 @@ def validate(path: Path, step: float | None = None, timeout: float = TIMEOUT) ->
         raise CosimError(f"FMU {path}: no such file")
     try:
         names = archive.entry_names(path)
+        if STRUCTURE in names:
+            return _package(path, len(names), step, timeout)
         findings = [Finding("archive", "ok", f"{len(names)} files, no path leads out")]
         md = read_description(path, validate=False)
     except CosimError as error:
@@ -65,6 +70,27 @@ def validate(path: Path, step: float | None = None, timeout: float = TIMEOUT) ->
     experiment = md.defaultExperiment
     usual = float(experiment.stepSize) if experiment is not None and experiment.stepSize else STEP
     return findings + _trials(path, usual if step is None else step, timeout)
+
+
+def _package(path: Path, files: int, step: float | None, timeout: float) -> list[Finding]:
+    """The structure, and one finding for each FMU: its worst."""
+    findings = [Finding("archive", "ok", f"{files} files, no path leads out")]
+    with tempfile.TemporaryDirectory(prefix="fowt-", ignore_cleanup_errors=True) as scratch:
+        root = Path(scratch).resolve()
+        try:
+            system = read_package(path, root).system
+            doubts = check(system).warnings
+        except CosimError as error:
+            return [*findings, Finding("structure", "fail", str(error).replace(f"{root}/", ""))]
+        size = f"{len(system.components)} components, {len(system.connections)} connections"
+        findings += [Finding("structure", "warning", w) for w in doubts] or [Finding("structure", "ok", size)]
+        for fmu in dict.fromkeys(c.fmu.resolve() for c in system.components):
+            found = validate(fmu, step, timeout)
+            status = max((f.status for f in found), key=ORDER.index)
+            worst = [f"{f.name}: {f.detail}" for f in found if f.status == status]
+            detail = worst[0] if status in ("warning", "fail") else f"{len(found)} checks"
+            findings.append(Finding(fmu.relative_to(root).as_posix(), "ok" if status == "skipped" else status, detail))
+    return findings
 
 
 def _description(path: Path) -> Finding:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import stat
 import struct
+import sys
 import zipfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from cosim.archive import BadArchive, Limits, extract, open_archive, parse_xml, read_entry
+from cosim.archive import BadArchive, Limits, extract, open_archive, parse_xml, read_entry, safe_name
 from cosim.errors import CosimError
 
 
@@ -87,6 +89,65 @@ def test_a_link_in_the_folder_is_not_followed(tmp_path: Path) -> None:
     with pytest.raises(BadArchive, match="leads out of the folder"):
         extract(path, tmp_path / "out")
     assert not (tmp_path / "escape").exists()
+
+
+def test_the_name_that_is_unpacked_is_the_one_looked_at(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Later versions of zipfile take a name from an extra field; Windows has another separator."""
+    usual = zipfile.ZipFile.infolist
+
+    def renamed(archive: zipfile.ZipFile) -> list[zipfile.ZipInfo]:
+        entries = usual(archive)
+        entries[0].filename = "../escape"
+        return entries
+
+    path = pack(tmp_path / "x.fmu", "harmless")
+    with monkeypatch.context() as patched:
+        patched.setattr(zipfile.ZipFile, "infolist", renamed)
+        with pytest.raises(BadArchive, match=r"entry 'harmless', unpacked as '\.\./escape', leads out of the folder"):
+            extract(path, tmp_path / "out")
+    assert not (tmp_path / "escape").exists()
+    unicode_path = b"\x01" + struct.pack("<L", zlib.crc32(b"harmless")) + b"../escape"
+    extra = struct.pack("<HH", 0x7075, len(unicode_path)) + unicode_path
+    field = pack(tmp_path / "field.fmu", "harmless", extra=extra)
+    if sys.version_info >= (3, 12):
+        with pytest.raises(BadArchive, match=r"leads out of the folder|cannot be read"):
+            extract(field, tmp_path / "out")
+    else:
+        extract(field, tmp_path / "out")
+    assert not (tmp_path / "escape").exists()
+
+
+def test_a_name_with_a_zero_byte_is_refused(tmp_path: Path) -> None:
+    """zipfile cuts it there: the archive's list shows another name than what is unpacked."""
+    path = pack(tmp_path / "x.fmu", "modelDescription.xml\x00.png")
+    with pytest.raises(BadArchive, match="has a control character"):
+        extract(path, tmp_path / "out")
+    with pytest.raises(BadArchive, match="has a control character"):
+        read_entry(path, "modelDescription.xml")
+
+
+NAMES = (
+    "aux",
+    "CON.ssv",
+    "a/b",
+    "..",
+    "",
+    " ",
+    "x" * 400,
+    "\u00e4" * 300 + ".bts",
+    "a" * 148 + ".." + "b" * 40,
+    ".x",
+    "\x00",
+)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_safe_names_can_be_unpacked(tmp_path: Path, name: str) -> None:
+    safe = safe_name(name)
+    assert "/" not in safe
+    assert safe_name(safe) == safe
+    extract(pack(tmp_path / "x.ssp", f"resources/{safe}"), tmp_path / "out")
+    assert (tmp_path / "out/resources" / safe).is_file()
 
 
 def test_bombs_are_refused_before_they_are_unpacked(tmp_path: Path) -> None:

@@ -15,7 +15,9 @@ from cosim.archive import sha256
 from cosim.case import read_case
 from cosim.cli.run import Changes, prepare
 from cosim.inspection import inspect
+from cosim.run import RunSettings
 from cosim.ssp_writer import write_package
+from cosim.system import ComponentInstance, System
 from cosim.validation import validate
 from fmus_src.component import Component
 from fmus_src.tmd.model import component as tmd
@@ -80,6 +82,32 @@ def test_good_fmus_pass(fowt: Callable[..., Outcome], theirs: Path, built: Calla
     assert passed["passed"]
     assert {f["status"] for f in passed["findings"]} == {"ok"}
     assert len(passed["findings"]) == 13
+
+
+def test_several_files_and_packages_are_judged_one_by_one(
+    fowt: Callable[..., Outcome], theirs: Path, built: Callable[[Component], Path], tmp_path: Path
+) -> None:
+    """Exit code 1 if any fails; of a package its structure, and each of its FMUs by its worst finding."""
+    system = System("pair", (ComponentInstance("a", theirs), ComponentInstance("b", built(tmd()))))
+    path = write_package(system, RunSettings(stop=1.0), tmp_path / "pair.ssp")
+    good = fowt("validate", str(theirs), str(built(tmd())), str(path))
+    assert good.code == 0, good.out
+    assert good.out.count(": usable") == 3
+    assert "a: not connected, start value used" in good.out
+    (tmp_path / "bad.fmu").write_bytes(b"no archive")
+    outcome = fowt("validate", str(theirs), "bad.fmu", "--format", "json")
+    report = json.loads(outcome.out)
+    assert (outcome.code, report["passed"], [f["passed"] for f in report["files"]]) == (1, False, [True, False])
+    with zipfile.ZipFile(path) as old, zipfile.ZipFile(tmp_path / "worse.ssp", "w") as new:
+        for name in old.namelist():
+            new.writestr(name, old.read(name) if not name.endswith("tmd.fmu") else b"no archive")
+    worse = json.loads(fowt("validate", "worse.ssp", "--format", "json").out)
+    assert not worse["passed"]
+    assert worse["findings"][-1]["name"] == "structure"
+    assert "FMU resources/tmd.fmu: cannot be read" in worse["findings"][-1]["detail"]
+    missing = fowt("validate", str(theirs), "none.fmu")
+    assert missing.code == 1
+    assert "none.fmu: no such file" in missing.err
 
 
 # a process that writes to address 0 is ended by a signal; Windows has none but names the exception

@@ -22,7 +22,7 @@ from cosim.checks import check
 from cosim.cli.run import Changes, prepare
 from cosim.errors import CosimError
 from cosim.run import RunSettings, simulate
-from cosim.ssp import read_package
+from cosim.ssp import read_package, read_parameters
 from cosim.ssp_writer import VERSIONS, write_package
 from cosim.system import ComponentInstance, Connection, System, with_parameters
 from fmus_src.component import Component
@@ -330,13 +330,18 @@ PLACES = {
     "loop": 'startElement="damper" startConnector="force"',
     "offset": 'factor="0.5"',
     "kind": '<ssd:Component name="structure"',
+    "transformation": '<ssc:LinearTransformation factor="0.5"/>',
+    "system": '<ssd:System name="inner">',
+    "binding": "<ssd:ParameterBinding ",
+    "mapping": "<ssd:ParameterMapping ",
 }
+TWICE = PLACES["transformation"]
 
 
 def nested(**changes: str) -> str:
     text = NESTED
     for place, new in changes.items():
-        text = text.replace(PLACES[place], new)
+        text = text.replace(PLACES[place], new + (PLACES[place] if place == "system" else ""))
     assert text != NESTED
     return text
 
@@ -356,7 +361,77 @@ BAD = [
         "is of the kind application/x-ssp",
     ),
     (nested(kind='<ssd:Component implementation="ModelExchange" name="structure"'), "is of the kind ModelExchange"),
+    (nested(offset='factor="nan"'), "inner.back: LinearTransformation: factor nan, offset 0 are not finite"),
+    (nested(transformation=f"{TWICE}{TWICE}"), "inner.back: has 2 transformations; keep one"),
+    (nested(transformation="<ssc:BooleanMappingTransformation/>"), "BooleanMappingTransformation is not supported"),
+    (
+        nested(system='<ssd:SignalDictionaryReference name="bus" dictionary="d"/>'),
+        "SignalDictionaryReference 'bus' is not supported; use components and systems only",
+    ),
+    (nested(binding='<ssd:ParameterBinding type="text/csv" '), "a ParameterBinding is of the type text/csv; only"),
+    (nested(binding='<ssd:ParameterBinding sourceBase="component" '), "sourceBase='component' is not supported"),
+    (nested(mapping='<ssd:ParameterMapping type="text/csv" '), "a ParameterMapping is of the type text/csv; only"),
+    (
+        nested(mapping="<ssd:ParameterValues><ssv:ParameterSet/></ssd:ParameterValues><ssd:ParameterMapping "),
+        "has both the source 'extra/set.ssv' and ParameterSet; keep one",
+    ),
+    (nested(system='<ssd:System name="s"/>' * 2001), "component 's' appears twice"),
+    (nested(system="".join(f'<ssd:System name="s{i}"/>' for i in range(2001))), "has more than 2000 components"),
 ]
+BAD_FILES = [
+    (SET.replace("stretch", "tons"), MAP, "extra/set.ssv: parameter 'tons' appears twice; keep one"),
+    (SET.replace('Int32 value="3"', 'Enumeration value="blue"'), MAP, "'blue': is neither a number nor an item"),
+    (SET, MAP.replace("heaviness", "inner.damper.x_0"), "two entries have the target 'inner.damper.x_0'; keep one"),
+    (SET, MAP.replace('factor="2"', 'factor="1e999"'), "extra/map.ssm: stretch: LinearTransformation: factor inf"),
+]
+
+
+@pytest.mark.parametrize(("values", "mapping", "words"), BAD_FILES)
+def test_bad_parameters_are_refused(
+    fmus: dict[str, Path], tmp_path: Path, values: str, mapping: str, words: str
+) -> None:
+    """The line names the file by its place in the package, not by where it was unpacked."""
+    path = foreign(tmp_path, fmus, NESTED, set__ssv=values, map__ssm=mapping)
+    with pytest.raises(CosimError) as refused:
+        read_package(path, tmp_path / "unpacked")
+    assert words in str(refused.value)
+    assert "foreign.ssp" in str(refused.value)
+    assert "unpacked" not in str(refused.value)
+
+
+def test_what_is_passed_over_is_said(fmus: dict[str, Path], tmp_path: Path) -> None:
+    """Connections that lead nowhere, other variants of the system, unknown versions: the run warns of each."""
+    quiet = read_package(foreign(tmp_path, fmus, NESTED, set__ssv=SET, map__ssm=MAP), tmp_path / "quiet").system
+    assert len(quiet.notes) == 1  # on the parameter that no mapping names
+    text = NESTED.replace('endElement="inner" endConnector="at"', 'endElement="inner" endConnector="att"')
+    text = text.replace('version="2.0" name="foreign"', 'version="3.0" name="foreign"')
+    path = foreign(tmp_path, fmus, text, set__ssv=SET, map__ssm=MAP)
+    with zipfile.ZipFile(path, "a") as package:
+        package.writestr("WithoutDamper.ssd", NESTED)
+    notes = " / ".join(read_package(path, tmp_path / "unpacked").system.notes)
+    for words in (
+        "the connection of structure.position to 'att' of inner leads nowhere and is not used",
+        "only SystemStructure.ssd is used, not WithoutDamper.ssd",
+        "says version '3.0'; is read as SSP 2.0",
+    ):
+        assert words in notes
+
+
+def test_a_text_names_a_file_as_it_stands(fmus: dict[str, Path], tmp_path: Path) -> None:
+    """Sources are URIs, with %20 for a blank; the texts of parameters are not."""
+    text = '<ssv:String value="50%25 of.bts"/>'
+    values = SET.replace('<ssv:Int32 value="3"/>', text)
+    (tmp_path / "set.ssv").write_text(values)
+    assert read_parameters(tmp_path / "set.ssv")["unused"].value == "50%25 of.bts"
+    (tmp_path / "50% of.bts").write_text("another")
+    assert read_parameters(tmp_path / "set.ssv")["unused"].value == "50%25 of.bts"
+    (tmp_path / "50%25 of.bts").write_text("x")
+    assert read_parameters(tmp_path / "set.ssv")["unused"].value == str(tmp_path / "50%25 of.bts")
+    (tmp_path / "set of.ssv").write_text(values)
+    path = foreign(
+        tmp_path, fmus, NESTED.replace("extra/set.ssv", "extra/s%65t.ssv"), set__ssv=values, map__ssm=MAP
+    )  # fmt: skip
+    assert len(read_package(path, tmp_path / "unpacked").system.components) == 2
 
 
 @pytest.mark.parametrize(("text", "words"), BAD)

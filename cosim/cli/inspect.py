@@ -11,6 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from cosim.cli.console import Format, FormatOption, emit, out
+from cosim.errors import CosimError
 from cosim.inspection import inspect as look
 from cosim.validation import TIMEOUT, Finding
 from cosim.validation import validate as check
@@ -40,36 +41,51 @@ def inspect(
 
 
 def validate(
-    file: Annotated[Path, typer.Argument(metavar="FILE.fmu", help="An FMU; its binary is run.")],
+    files: Annotated[list[Path], typer.Argument(metavar="FILE", help="FMUs or SSP packages; their binaries are run.")],
     step: Annotated[float | None, typer.Option(metavar="H", min=1e-9, help="Step of the trials, s.")] = None,
-    timeout: Annotated[float, typer.Option(metavar="T", min=1.0, help="Wall time for all trials, s.")] = TIMEOUT,
+    timeout: Annotated[float, typer.Option(metavar="T", min=1.0, help="Wall time for all trials of one, s.")] = TIMEOUT,
     output: FormatOption = Format.TEXT,
 ) -> None:
-    """Check an FMU: description, units, platform, and trials of its binary in a process of its own.
+    """Check FMUs: description, units, platform, and trials of each binary in a process of its own.
 
-    Exits with 0 if nothing fails, with 1 if something does.
+    Of a package: its structure, and each FMU in it. Of several files it shows
+    what is not ok. Exits with 0 if nothing fails, with 1 if something does.
 
     Example: [bold]fowt validate damper.fmu[/bold]
     """
-    findings = check(file, step, timeout)
-    failed = [f for f in findings if f.status == "fail"]
+    missing = next((f for f in files if not f.is_file()), None)
+    if missing is not None:
+        raise CosimError(f"FMU {missing}: no such file")
+    reports: list[dict[str, Any]] = []
+    for file in files:
+        findings = check(file, step, timeout)
+        failed = any(f.status == "fail" for f in findings)
+        reports.append({"file": str(file), "passed": not failed, "findings": [asdict(f) for f in findings]})
+        if output is not Format.JSON:
+            _show_findings(file, findings, alone=len(files) == 1)
+    passed = all(r["passed"] for r in reports)
     if output is Format.JSON:
-        emit({"file": str(file), "passed": not failed, "findings": [asdict(f) for f in findings]})
-    else:
-        _show_findings(file, findings, len(failed))
-    if failed:
+        emit(reports[0] if len(reports) == 1 else {"passed": passed, "files": reports})
+    if not passed:
         raise typer.Exit(1)
 
 
-def _show_findings(file: Path, findings: list[Finding], failed: int) -> None:
-    table = Table(box=None, show_header=False, pad_edge=False)
+def _show_findings(file: Path, findings: list[Finding], alone: bool) -> None:
+    """All findings, then the verdict; of one file among several the verdict, then what is not ok."""
+    doubts, failed = (sum(f.status == s for f in findings) for s in ("warning", "fail"))
+    words = f"{failed} of {len(findings)} checks fail" if failed else "usable"
+    words += f", {doubts} warning{'s' if doubts > 1 else ''}" if doubts else ""
+    verdict = Text(f"{file}: {words}", style=STYLES["fail" if failed else "ok"])
+    if not alone:
+        out.print(verdict, soft_wrap=True)
+    table = Table(box=None, show_header=False, pad_edge=not alone)
     for f in findings:
-        table.add_row(Text(f.name), Text(f.status, style=STYLES[f.status]), Text(f.detail))
-    out.print(table)
-    doubts = sum(f.status == "warning" for f in findings)
-    verdict = f"{failed} of {len(findings)} checks fail" if failed else "usable"
-    verdict += f", {doubts} warning{'s' if doubts > 1 else ''}" if doubts else ""
-    out.print(Text(f"{file}: {verdict}", style=STYLES["fail" if failed else "ok"]), soft_wrap=True)
+        if alone or f.status != "ok":
+            table.add_row(Text(f.name), Text(f.status, style=STYLES[f.status]), Text(f.detail))
+    if table.row_count:
+        out.print(table)
+    if alone:
+        out.print(verdict, soft_wrap=True)
 
 
 def _show_fmu(facts: dict[str, Any], everything: bool) -> None:

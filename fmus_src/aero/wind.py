@@ -19,7 +19,9 @@ def wind_at(c: Component, points: Any, reference: float) -> Any:
     Args:
         points: global frame, m, (3, n). reference: height of the steady wind's speed, m.
     """
-    file = c.string_parameter("wind_file", description="TurbSim .bts file; empty: steady wind")
+    file = c.string_parameter(
+        "wind_file", description="TurbSim .bts file (resources/ is searched first); empty: steady wind"
+    )
     speed = c.parameter("wind_speed", 8.0, unit="m/s", description=f"steady wind at {reference:g} m", tunable=True)
     shear = c.parameter("shear_exponent", 0.2, min=0.0, max=1.0, description="power-law exponent of the steady wind")
     turbulent, loaded = c.field("box", file, points.T)

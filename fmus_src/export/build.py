@@ -28,6 +28,12 @@ from fmus_src.export.terminals import terminals_and_icons
 from fmus_src.export.universal import universal
 
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # zip's own, so that the same content makes the same bytes
+# Tells importers where the FMU looks for files; cosim/resources.py puts files there on its word.
+RESOURCES_NOTE = "extra/org.fowt-cosim.resources/README.txt"
+_RESOURCES = """A file that a text parameter names by a relative path is looked for in this FMU's resources/ first, then
+as the path says. A copy of this FMU with files added to resources/ may lengthen its guid (instantiationToken) by '+'
+and any text, so that importers that keep FMUs by guid tell the copies apart.
+"""
 _IMAGES = {"icon": turbine, "port": port}
 
 
@@ -104,6 +110,8 @@ def _content(component: Component, fmi: str = "2") -> dict[str, bytes]:
     texts = {f"sources/{name}": text for name, text in source_files(exports, placeholder, fmi).items()}
     texts["documentation/index.html"] = documentation(exports.equations, fmi)
     texts["documentation/licenses/license.txt"] = licence(component)
+    if exports.equations.strings:
+        texts[RESOURCES_NOTE] = _RESOURCES
     images = {"model.png": png(turbine())}
     if fmi == "2":
         texts["modelDescription.xml"] = model_description(exports, placeholder, COMPILED["2"])

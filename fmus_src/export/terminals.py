@@ -14,7 +14,7 @@ from fmus_src.equations import Equations
 from fmus_src.export.model_description import to_text
 from fmus_src.export.model_description3 import VERSION
 
-KIND = "org.fowt-cosim.mechanical"
+KIND = "_fowt-cosim_mechanical"  # FMI 3.0 has no kinds of its own; a tool's own begin with "_" and its name
 FORCES = ("force", "moment", "modal_force")
 MOTIONS = (
     "position", "rotation", "orientation", "velocity", "angular_velocity", "acceleration", "angular_acceleration",

@@ -87,7 +87,7 @@ int open_boxes(instance *m)
         if (model.lookups[i].kind != FIELD) continue;
         int s = ((const field_data *)model.lookups[i].data)->string;
         if (m->boxes[s] || !m->strings[s][0]) continue;
-        m->boxes[s] = wind_box_open(m->strings[s], message, sizeof message);
+        m->boxes[s] = wind_box_open(m->resources, m->strings[s], message, sizeof message);
         if (!m->boxes[s]) return report(m, "%s: %s", model.string_names[s], message);
     }
     return 0;

@@ -2,6 +2,13 @@
 #include "fmi2Functions.h"
 #include "instance.h"
 
+#ifdef _WIN32
+enum { ON_WINDOWS = 1 };
+#else
+enum { ON_WINDOWS = 0 };
+#endif
+#define MAX_PATH_LENGTH 4096
+
 static fmi2Status status(int failed) { return failed ? fmi2Error : fmi2OK; }
 
 void deliver(const instance *m, const char *text)
@@ -21,15 +28,49 @@ void deliver(const instance *m, const char *text)
 const char *fmi2GetTypesPlatform(void) { return fmi2TypesPlatform; }
 const char *fmi2GetVersion(void) { return fmi2Version; }
 
+static int digit(char c)
+{
+    if (c >= '0' && c <= '9') return c - '0';
+    c |= 32;
+    return c >= 'a' && c <= 'f' ? c - 'a' + 10 : -1;
+}
+
+/* The path that a file URI names (RFC 8089), in the buffer; "" if it names none here. What is no URI is a path. */
+static const char *path_of(const char *uri, char *path, size_t size)
+{
+    const int encoded = uri && !strncmp(uri, "file:", 5);
+    const char *from = !uri ? "" : encoded ? uri + 5 : uri;
+    size_t n = 0;
+    if (encoded && !strncmp(from, "//", 2)) {
+        if (from[2] == '/') from += 2;
+        else if (!strncmp(from, "//localhost/", 12)) from += 11;
+        else if (!ON_WINDOWS) return ""; /* another machine; Windows opens it as //machine/share */
+    }
+    for (; *from && n < size - 1; from++) {
+        char c = *from;
+        if (encoded && c == '%' && digit(from[1]) >= 0 && digit(from[2]) >= 0) {
+            c = (char)(16 * digit(from[1]) + digit(from[2]));
+            if (!c) return "";
+            from += 2;
+        }
+        path[n++] = c;
+    }
+    path[n] = 0;
+    if (*from) return "";
+    return ON_WINDOWS && encoded && path[0] == '/' && n > 2 && path[2] == ':' ? path + 1 : path; /* /C:/... */
+}
+
 fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String resources,
                               const fmi2CallbackFunctions *callbacks, fmi2Boolean visible, fmi2Boolean logging)
 {
-    (void)resources, (void)visible, (void)logging; /* what is logged are errors: always */
+    (void)visible, (void)logging; /* what is logged are errors: always */
     allocator memory = {NULL, NULL};
-    if (!callbacks) return create(name, guid, type == fmi2ModelExchange, memory, NULL, NULL);
+    char path[MAX_PATH_LENGTH];
+    const char *folder = path_of(resources, path, sizeof path);
+    if (!callbacks) return create(name, guid, folder, type == fmi2ModelExchange, memory, NULL, NULL);
     memory.allocate = callbacks->allocateMemory;
     memory.release = callbacks->freeMemory;
-    return create(name, guid, type == fmi2ModelExchange, memory, callbacks->componentEnvironment,
+    return create(name, guid, folder, type == fmi2ModelExchange, memory, callbacks->componentEnvironment,
                   (void (*)(void))callbacks->logger);
 }
 

@@ -27,9 +27,9 @@ fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi
                                           fmi3Boolean logging, fmi3InstanceEnvironment environment,
                                           fmi3LogMessageCallback logger)
 {
-    (void)resources, (void)visible, (void)logging; /* what is logged are errors: always */
+    (void)visible, (void)logging; /* what is logged are errors: always */
     const allocator memory = {NULL, NULL};
-    return create(name, token, 1, memory, environment, (void (*)(void))logger);
+    return create(name, token, resources, 1, memory, environment, (void (*)(void))logger);
 }
 
 fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
@@ -39,9 +39,9 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
                                          fmi3IntermediateUpdateCallback update)
 {
     const char *function = "fmi3InstantiateCoSimulation";
-    (void)resources, (void)visible, (void)logging, (void)early_return;
+    (void)visible, (void)logging, (void)early_return;
     const allocator memory = {NULL, NULL};
-    instance *m = create(name, token, 0, memory, environment, (void (*)(void))logger);
+    instance *m = create(name, token, resources, 0, memory, environment, (void (*)(void))logger);
     if (!m) return NULL;
     int failed = event_mode && report(m, "%s: event mode is not provided", function), inputs = 0;
     for (size_t i = 0; i < n_intermediate && !failed; i++) { /* others than inputs are never offered for reading */

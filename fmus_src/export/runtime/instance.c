@@ -93,8 +93,25 @@ int restart(instance *m)
     return 0;
 }
 
-instance *create(const char *name, const char *token, int model_exchange, allocator memory, void *environment,
-                 void (*logger)(void))
+/* A copy of this FMU that brings files of its own has a longer guid: '+' and a digest of them follow. */
+static int is_own(const char *token)
+{
+    const size_t n = strlen(model.guid);
+    return token && !strncmp(token, model.guid, n) && (!token[n] || token[n] == '+');
+}
+
+static char *copy_folder(const allocator *a, const char *path)
+{
+    const size_t n = path ? strlen(path) : 0;
+    char *copy = allocate(a, n + 2, 1);
+    if (!copy || !n) return copy;
+    strcpy(copy, path);
+    if (path[n - 1] != '/' && path[n - 1] != '\\') strcpy(copy + n, "/");
+    return copy;
+}
+
+instance *create(const char *name, const char *token, const char *resources, int model_exchange, allocator memory,
+                 void *environment, void (*logger)(void))
 {
     instance *m = allocate(&memory, 1, sizeof *m);
     if (!m) return NULL;
@@ -103,11 +120,12 @@ instance *create(const char *name, const char *token, int model_exchange, alloca
     m->environment = environment;
     m->logger = logger;
     m->name = copy_text(&memory, name && name[0] ? name : model.identifier);
+    m->resources = copy_folder(&memory, resources);
     m->values = allocate(&memory, N_VALUES, sizeof(double));
     m->strings = allocate(&memory, model.n_strings, sizeof(char *));
     m->boxes = allocate(&memory, model.n_strings, sizeof(wind_box *));
-    if (m->name && m->values && m->strings && m->boxes && !allocate_work(m) && !restart(m)) {
-        if (token && !strcmp(token, model.guid)) return m;
+    if (m->name && m->resources && m->values && m->strings && m->boxes && !allocate_work(m) && !restart(m)) {
+        if (is_own(token)) return m;
         report(m, "the guid is not this FMU's (%s)", model.guid);
     }
     destroy(m);
@@ -128,6 +146,7 @@ void destroy(instance *m)
     release(&memory, m->scratch);
     release(&memory, m->work);
     release(&memory, m->iwork);
+    release(&memory, m->resources);
     release(&memory, m->name);
     release(&memory, m);
 }

@@ -42,6 +42,7 @@ typedef struct instance {
     double *work;
     casadi_int *iwork;
     char *name;
+    char *resources;      /* folder of the FMU's own files with its final separator, or "" */
     allocator memory;
     void *environment;    /* of the importer, for its logger */
     void (*logger)(void); /* the importer's, in the interface's own type */
@@ -77,8 +78,9 @@ typedef struct instance {
 void deliver(const instance *m, const char *text);
 
 /* instance.c */
-instance *create(const char *name, const char *token, int model_exchange, allocator memory, void *environment,
-                 void (*logger)(void)); /* NULL after an error */
+/* resources: path of a folder, or NULL. Returns NULL after an error. */
+instance *create(const char *name, const char *token, const char *resources, int model_exchange, allocator memory,
+                 void *environment, void (*logger)(void));
 void destroy(instance *m);
 int report(instance *m, const char *format, ...); /* logs an error, after which the instance has failed; returns 1 */
 void *allocate(const allocator *a, size_t count, size_t size);

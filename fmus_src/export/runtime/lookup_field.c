@@ -13,6 +13,7 @@
 
 /* File positions: the long of fseek has 32 bits on Windows, too few for a file above 2 GB. */
 #ifdef _WIN32
+#include <wchar.h>
 #define SEEK _fseeki64
 #define TELL _ftelli64
 typedef int64_t file_position;
@@ -89,9 +90,36 @@ static int read_data(wind_box *b, FILE *f, const char *path, char *message, size
     return 0;
 }
 
-wind_box *wind_box_open(const char *path, char *message, size_t size)
+/* FMI's texts are UTF-8; fopen of Windows wants the code page of the machine. */
+#ifdef _WIN32
+__declspec(dllimport) int __stdcall MultiByteToWideChar(unsigned, unsigned long, const char *, int, wchar_t *, int);
+
+static FILE *open_file(const char *path)
 {
-    FILE *f = fopen(path, "rb");
+    wchar_t wide[MAX_TEXT];
+    const unsigned utf8 = 65001;
+    return MultiByteToWideChar(utf8, 8, path, -1, wide, MAX_TEXT) ? _wfopen(wide, L"rb") : fopen(path, "rb");
+}
+#else
+static FILE *open_file(const char *path) { return fopen(path, "rb"); }
+#endif
+
+static FILE *open_within(const char *folder, const char *path)
+{
+    const int relative = path[0] != '/' && path[0] != '\\' && path[1] != ':';
+    char *full = folder[0] && relative ? malloc(strlen(folder) + strlen(path) + 1) : NULL;
+    if (!full) return NULL;
+    strcpy(full, folder);
+    strcat(full, path);
+    FILE *f = open_file(full);
+    free(full);
+    return f;
+}
+
+wind_box *wind_box_open(const char *folder, const char *path, char *message, size_t size)
+{
+    FILE *f = open_within(folder, path);
+    if (!f) f = open_file(path);
     if (!f) {
         fail(message, size, path, "cannot be opened; check the path");
         return NULL;

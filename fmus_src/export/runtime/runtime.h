@@ -92,7 +92,8 @@ extern const model_description model;
 
 /* Turbulent wind boxes (TurbSim .bts). */
 typedef struct wind_box wind_box;
-wind_box *wind_box_open(const char *path, char *message, size_t size);
+/* A relative path is looked for in the folder (which ends with a separator, or is ""), then as it is. */
+wind_box *wind_box_open(const char *folder, const char *path, char *message, size_t size);
 void wind_box_close(wind_box *box);
 /* Velocities (and, if not NULL, their derivatives by t, x, y, z: 12 per point) at points; 0 if all are inside. */
 int wind_box_sample(const wind_box *box, double t, const double *points, int n, double *velocity, double *gradient,
