@@ -26,6 +26,7 @@ VERSIONS: tuple[Version, ...] = ("1.0", "2.0")
 _SSP = "http://ssp-standard.org/SSP1/SystemStructure"
 _SSD, _SSC, _SSV, _SSM = (f"{_SSP}{kind}" for kind in ("Description", "Common", "ParameterValues", "ParameterMapping"))
 _OSP = "http://opensimulationplatform.com/SSP/OSPAnnotations"
+PARAMETERS = "parameters"  # the name of every parameter set: Ecos applies those of one name only
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # the same system gives the same bytes
 
 
@@ -187,7 +188,7 @@ def _bind(
     variables = read_fmu(component.fmu).variables
     ssv = content.free(f"{component.name}.ssv", component.name)
     content.entries[ssv] = _parameter_set(
-        component.name, {names[n]: (variables[n], v) for n, v in start.items()}, version,
+        PARAMETERS, {names[n]: (variables[n], v) for n, v in start.items()}, version,
         lambda text: content.named_file(text, component.fmu, component.name),
     )  # fmt: skip
     parent = etree.SubElement(element, f"{{{_SSD}}}ParameterBindings")

@@ -25,7 +25,6 @@ import fmpy
 import numpy as np
 import pandas as pd
 import pytest
-from lxml import etree
 
 from cosim.case import read_case
 from cosim.checks import check
@@ -129,21 +128,8 @@ def test_ecos_moves_a_damper(ecos: Any, fmi: str, fmu_folder: Path) -> None:
         assert_same(rows[:, i], expected[name][1:])
 
 
-def of_one_name(package: Path, target: Path) -> Path:
-    """The package with one name for all parameter sets: Ecos applies the sets of one name, and no other."""
-    with zipfile.ZipFile(package) as old, zipfile.ZipFile(target, "w") as new:
-        for name in old.namelist():
-            content = old.read(name)
-            if name.endswith(".ssv"):
-                root = etree.fromstring(content)
-                root.set("name", "parameters")
-                content = etree.tostring(root)
-            new.writestr(name, content)
-    return target
-
-
 def test_ecos_runs_our_package(ecos: Any, decay: Decay, tmp_path: Path) -> None:
-    package = of_one_name(decay.package(tmp_path), tmp_path / "one.ssp")
+    package = decay.package(tmp_path)
     with ecos.EcosSimulation(ssp_path=str(package), step_size=STEP) as simulation:
         assert simulation.init(parameter_set="parameters")
         rows = stepped(simulation, SHOWN, round(STOP / STEP))

@@ -35,7 +35,7 @@ def model_description(exports: Exports, guid: str, sources: tuple[str, ...]) -> 
         "modelIdentifier": component.name,
         "needsExecutionTool": "false",
         "canBeInstantiatedOnlyOncePerProcess": "false",
-        "canNotUseMemoryManagementFunctions": "false",
+        "canNotUseMemoryManagementFunctions": "true",
         "canGetAndSetFMUstate": "true",
         "canSerializeFMUstate": "true",
         "providesDirectionalDerivative": "true" if component.directional_derivatives else "false",

@@ -1,7 +1,7 @@
 /* The course of a simulation: initialisation, steps of co-simulation, events of model exchange.
  *
- * Inputs are polynomials over a step (set_slope, orders 1 and 2), or what the importer says when asked; sampled states change at start + k * sample_time,
- * k = 1, 2, ... (or 0, 1, ...). */
+ * Inputs are polynomials over a step (set_slope, orders 1 and 2), or what the importer says when asked; sampled states
+ * change at start + k * sample_time, k = 1, 2, ... (or 0, 1, ...). */
 #include <float.h>
 
 #include "instance.h"

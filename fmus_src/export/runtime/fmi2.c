@@ -64,13 +64,10 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
                               const fmi2CallbackFunctions *callbacks, fmi2Boolean visible, fmi2Boolean logging)
 {
     (void)visible, (void)logging; /* what is logged are errors: always */
-    allocator memory = {NULL, NULL};
     char path[MAX_PATH_LENGTH];
     const char *folder = path_of(resources, path, sizeof path);
-    if (!callbacks) return create(name, guid, folder, type == fmi2ModelExchange, memory, NULL, NULL);
-    memory.allocate = callbacks->allocateMemory;
-    memory.release = callbacks->freeMemory;
-    return create(name, guid, folder, type == fmi2ModelExchange, memory, callbacks->componentEnvironment,
+    if (!callbacks) return create(name, guid, folder, type == fmi2ModelExchange, NULL, NULL);
+    return create(name, guid, folder, type == fmi2ModelExchange, callbacks->componentEnvironment,
                   (void (*)(void))callbacks->logger);
 }
 

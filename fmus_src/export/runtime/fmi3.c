@@ -28,8 +28,7 @@ fmi3Instance fmi3InstantiateModelExchange(fmi3String name, fmi3String token, fmi
                                           fmi3LogMessageCallback logger)
 {
     (void)visible, (void)logging; /* what is logged are errors: always */
-    const allocator memory = {NULL, NULL};
-    return create(name, token, resources, 1, memory, environment, (void (*)(void))logger);
+    return create(name, token, resources, 1, environment, (void (*)(void))logger);
 }
 
 fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
@@ -40,8 +39,7 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
 {
     const char *function = "fmi3InstantiateCoSimulation";
     (void)visible, (void)logging, (void)early_return;
-    const allocator memory = {NULL, NULL};
-    instance *m = create(name, token, resources, 0, memory, environment, (void (*)(void))logger);
+    instance *m = create(name, token, resources, 0, environment, (void (*)(void))logger);
     if (!m) return NULL;
     int failed = event_mode && report(m, "%s: event mode is not provided", function), inputs = 0;
     for (size_t i = 0; i < n_intermediate && !failed; i++) { /* others than inputs are never offered for reading */

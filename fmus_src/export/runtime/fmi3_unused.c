@@ -3,16 +3,16 @@
 #include "fmi3Functions.h"
 #include "instance.h"
 
-static fmi3Status status(int failed) { return failed ? fmi3Error : fmi3OK; }
+static fmi3Status unused_status(int failed) { return failed ? fmi3Error : fmi3OK; }
 
 static fmi3Status not_provided(instance *m, const char *function)
 {
-    return status(!m || report(m, "%s: not provided", function));
+    return unused_status(!m || report(m, "%s: not provided", function));
 }
 
 static fmi3Status none_of(instance *m, const char *function, size_t n)
 {
-    return status(!m || (n && report(m, "%s: this FMU has no variable of that type", function)));
+    return unused_status(!m || (n && report(m, "%s: this FMU has no variable of that type", function)));
 }
 
 #define UNUSED_TYPE(TYPE)                                                                                             \

@@ -19,22 +19,12 @@ int report(instance *m, const char *format, ...)
     return 1;
 }
 
-void *allocate(const allocator *a, size_t count, size_t size)
-{
-    if (count == 0) count = 1;
-    return a->allocate && a->release ? a->allocate(count, size) : calloc(count, size);
-}
+/* Zeros; never NULL for want of elements. */
+static void *allocate(size_t count, size_t size) { return calloc(count ? count : 1, size); }
 
-void release(const allocator *a, void *memory)
+static char *copy_text(const char *text)
 {
-    if (!memory) return;
-    if (a->allocate && a->release) a->release(memory);
-    else free(memory);
-}
-
-static char *copy_text(const allocator *a, const char *text)
-{
-    char *copy = allocate(a, strlen(text) + 1, 1);
+    char *copy = malloc(strlen(text) + 1);
     if (copy) strcpy(copy, text);
     return copy;
 }
@@ -63,18 +53,18 @@ static int allocate_work(instance *m)
         largest(&iw, &w, &d->guess);
     }
     size_t scratch = N_STEPPING > N_DIRECTION ? N_STEPPING : N_DIRECTION;
-    m->iwork = allocate(&m->memory, (size_t)iw, sizeof(casadi_int));
-    m->work = allocate(&m->memory, (size_t)w, sizeof(double));
-    m->scratch = allocate(&m->memory, scratch, sizeof(double));
+    m->iwork = allocate((size_t)iw, sizeof(casadi_int));
+    m->work = allocate((size_t)w, sizeof(double));
+    m->scratch = allocate(scratch, sizeof(double));
     return !(m->iwork && m->work && m->scratch);
 }
 
 /* Give a string variable a value, whose wind box is opened at the next need; 1 if out of memory. */
 int set_text(instance *m, size_t i, const char *text)
 {
-    char *copy = copy_text(&m->memory, text);
+    char *copy = copy_text(text);
     if (!copy) return 1;
-    release(&m->memory, m->strings[i]);
+    free(m->strings[i]);
     m->strings[i] = copy;
     wind_box_close(m->boxes[i]);
     m->boxes[i] = NULL;
@@ -100,30 +90,29 @@ static int is_own(const char *token)
     return token && !strncmp(token, model.guid, n) && (!token[n] || token[n] == '+');
 }
 
-static char *copy_folder(const allocator *a, const char *path)
+static char *copy_folder(const char *path)
 {
     const size_t n = path ? strlen(path) : 0;
-    char *copy = allocate(a, n + 2, 1);
+    char *copy = allocate(n + 2, 1);
     if (!copy || !n) return copy;
     strcpy(copy, path);
     if (path[n - 1] != '/' && path[n - 1] != '\\') strcpy(copy + n, "/");
     return copy;
 }
 
-instance *create(const char *name, const char *token, const char *resources, int model_exchange, allocator memory,
-                 void *environment, void (*logger)(void))
+instance *create(const char *name, const char *token, const char *resources, int model_exchange, void *environment,
+                 void (*logger)(void))
 {
-    instance *m = allocate(&memory, 1, sizeof *m);
+    instance *m = allocate(1, sizeof *m);
     if (!m) return NULL;
     m->model_exchange = model_exchange;
-    m->memory = memory;
     m->environment = environment;
     m->logger = logger;
-    m->name = copy_text(&memory, name && name[0] ? name : model.identifier);
-    m->resources = copy_folder(&memory, resources);
-    m->values = allocate(&memory, N_VALUES, sizeof(double));
-    m->strings = allocate(&memory, model.n_strings, sizeof(char *));
-    m->boxes = allocate(&memory, model.n_strings, sizeof(wind_box *));
+    m->name = copy_text(name && name[0] ? name : model.identifier);
+    m->resources = copy_folder(resources);
+    m->values = allocate(N_VALUES, sizeof(double));
+    m->strings = allocate(model.n_strings, sizeof(char *));
+    m->boxes = allocate(model.n_strings, sizeof(wind_box *));
     if (m->name && m->resources && m->values && m->strings && m->boxes && !allocate_work(m) && !restart(m)) {
         if (is_own(token)) return m;
         report(m, "the guid is not this FMU's (%s)", model.guid);
@@ -135,18 +124,17 @@ instance *create(const char *name, const char *token, const char *resources, int
 void destroy(instance *m)
 {
     if (!m) return;
-    const allocator memory = m->memory;
     for (int i = 0; i < model.n_strings; i++) {
         if (m->boxes) wind_box_close(m->boxes[i]);
-        if (m->strings) release(&memory, m->strings[i]);
+        if (m->strings) free(m->strings[i]);
     }
-    release(&memory, m->boxes);
-    release(&memory, m->strings);
-    release(&memory, m->values);
-    release(&memory, m->scratch);
-    release(&memory, m->work);
-    release(&memory, m->iwork);
-    release(&memory, m->resources);
-    release(&memory, m->name);
-    release(&memory, m);
+    free(m->boxes);
+    free(m->strings);
+    free(m->values);
+    free(m->scratch);
+    free(m->work);
+    free(m->iwork);
+    free(m->resources);
+    free(m->name);
+    free(m);
 }

@@ -26,11 +26,6 @@ typedef struct {
     int warm;      /* lookup results hold a last solution */
 } scalars;
 
-typedef struct {
-    void *(*allocate)(size_t count, size_t size); /* NULL: calloc and free */
-    void (*release)(void *memory);
-} allocator;
-
 typedef struct instance {
     scalars s;
     int model_exchange;
@@ -43,7 +38,6 @@ typedef struct instance {
     casadi_int *iwork;
     char *name;
     char *resources;      /* folder of the FMU's own files with its final separator, or "" */
-    allocator memory;
     void *environment;    /* of the importer, for its logger */
     void (*logger)(void); /* the importer's, in the interface's own type */
     void (*update)(void); /* likewise, for values within a step */
@@ -79,12 +73,10 @@ void deliver(const instance *m, const char *text);
 
 /* instance.c */
 /* resources: path of a folder, or NULL. Returns NULL after an error. */
-instance *create(const char *name, const char *token, const char *resources, int model_exchange, allocator memory,
-                 void *environment, void (*logger)(void));
+instance *create(const char *name, const char *token, const char *resources, int model_exchange, void *environment,
+                 void (*logger)(void));
 void destroy(instance *m);
 int report(instance *m, const char *format, ...); /* logs an error, after which the instance has failed; returns 1 */
-void *allocate(const allocator *a, size_t count, size_t size);
-void release(const allocator *a, void *memory);
 int set_text(instance *m, size_t i, const char *text);
 int restart(instance *m);
 

@@ -1,7 +1,7 @@
 /* Turbulent wind from a TurbSim full-field file (.bts), frozen turbulence carried downwind at the mean speed.
  *
- * The rules are those of the Python twin (fmus_src/aero/turbsim_file.py), which states how they follow InflowWind; tower
- * points are not read: below the grid the lowest row holds.
+ * The rules are those of the Python twin (fmus_src/aero/turbsim_file.py), which states how they follow InflowWind;
+ * tower points are not read: below the grid the lowest row holds.
  */
 #include <math.h>
 #include <stdint.h>
@@ -61,8 +61,9 @@ static int read_header(wind_box *b, FILE *f, const char *path, char *message, si
     memcpy(&text, h + 66, 4);
     if (id != 7 && id != 8) return fail(message, size, path, "is not a TurbSim full-field file (identifier 7 or 8)");
     b->periodic = id == 8;
-    int sane = b->nz > 1 && b->ny > 1 && b->nt > 1 && b->tower >= 0 && b->nz <= MAX_GRID_POINTS && b->ny <= MAX_GRID_POINTS
-               && (int64_t)b->nz * b->ny <= MAX_GRID_POINTS && b->tower <= MAX_GRID_POINTS && text >= 0 && text <= MAX_TEXT
+    int sane = b->nz > 1 && b->ny > 1 && b->nt > 1 && b->nz <= MAX_GRID_POINTS && b->ny <= MAX_GRID_POINTS
+               && (int64_t)b->nz * b->ny <= MAX_GRID_POINTS && b->tower >= 0 && b->tower <= MAX_GRID_POINTS
+               && text >= 0 && text <= MAX_TEXT
                && b->dt > 0 && b->dy > 0 && b->dz > 0 && b->mean_speed > 0 && b->z_bottom >= 0 && isfinite(b->dt)
                && isfinite(b->dy) && isfinite(b->dz) && isfinite(b->mean_speed) && isfinite(b->z_bottom);
     for (int c = 0; c < 3; c++) sane = sane && isfinite(b->offset[c]) && isfinite(b->scale[c]) && b->scale[c] != 0.0f;
@@ -84,7 +85,8 @@ static int read_data(wind_box *b, FILE *f, const char *path, char *message, size
     b->data = malloc((size_t)b->nt * grid * sizeof(int16_t));
     if (!b->data) return fail(message, size, path, "does not fit into memory");
     for (int32_t i = 0; i < b->nt; i++) {
-        if (fread(b->data + (size_t)i * grid, sizeof(int16_t), grid, f) != grid || SEEK(f, (file_position)(2 * tower), SEEK_CUR))
+        if (fread(b->data + (size_t)i * grid, sizeof(int16_t), grid, f) != grid
+            || SEEK(f, (file_position)(2 * tower), SEEK_CUR))
             return fail(message, size, path, "is truncated");
     }
     return 0;
@@ -142,7 +144,7 @@ void wind_box_close(wind_box *b)
 }
 
 /* The cell and the weight of a grid position; 1 if it lies outside. */
-static int locate(double s, int n, int *cell, double *weight)
+static int locate_in_box(double s, int n, int *cell, double *weight)
 {
     if (!(s >= -GRID_TOLERANCE && s <= n - 1 + GRID_TOLERANCE)) return 1;
     if (s < 0.0) s = 0.0;
@@ -157,7 +159,7 @@ static int locate_time(const wind_box *b, double time, int *first, int *second, 
 {
     double s = time / b->dt;
     if (!b->periodic) {
-        if (locate(s, b->nt, first, weight)) return 1;
+        if (locate_in_box(s, b->nt, first, weight)) return 1;
         *second = *first + 1;
         return 0;
     }
@@ -185,12 +187,15 @@ int wind_box_sample(const wind_box *b, double t, const double *points, int n, do
             continue;
         }
         if (locate_time(b, t - points[0] * inverse_speed + offset, &first, &second, &ft)) {
-            snprintf(message, size, "the wind file covers %g s and does not repeat; make a longer one or end the run earlier",
+            snprintf(message, size,
+                     "the wind file covers %g s and does not repeat; make a longer one or end the run earlier",
                      (b->nt - 1) * (double)b->dt);
             return 1;
         }
-        if (locate(points[1] * inverse_dy + half, b->ny, &j, &fy) || locate((height - b->z_bottom) * inverse_dz, b->nz, &k, &fz)) {
-            snprintf(message, size, "point y = %g m, z = %g m lies outside the wind file's grid; make it wider", points[1], points[2]);
+        if (locate_in_box(points[1] * inverse_dy + half, b->ny, &j, &fy)
+            || locate_in_box((height - b->z_bottom) * inverse_dz, b->nz, &k, &fz)) {
+            snprintf(message, size, "point y = %g m, z = %g m lies outside the wind file's grid; make it wider",
+                     points[1], points[2]);
             return 1;
         }
         const int16_t *a = b->data + first * plane + k * row + 3 * j, *c = b->data + second * plane + k * row + 3 * j;
@@ -207,7 +212,8 @@ int wind_box_sample(const wind_box *b, double t, const double *points, int n, do
                 g[0] = (late - early) / b->dt * inverse;
                 g[1] = -g[0] * inverse_speed;
                 g[2] = (ey + ft * (fyy - ey)) * inverse_dy * inverse;
-                g[3] = points[2] > b->z_bottom ? ((a1 - a0) + ft * ((c1 - c0) - (a1 - a0))) * inverse_dz * inverse : 0.0;
+                const double difference = (a1 - a0) + ft * ((c1 - c0) - (a1 - a0));
+                g[3] = points[2] > b->z_bottom ? difference * inverse_dz * inverse : 0.0;
             }
         }
     }

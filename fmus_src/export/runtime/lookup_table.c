@@ -1,7 +1,7 @@
 /* Linear interpolation on a uniform grid, held beyond its ends. */
 #include "runtime.h"
 
-static void locate(const table_data *t, double x, int *index, double *weight, double *slope)
+static void locate_in_table(const table_data *t, double x, int *index, double *weight, double *slope)
 {
     double position = (x - t->first) / t->spacing;
     double last = (double)(t->points - 1);
@@ -23,7 +23,7 @@ void table_evaluate(const table_data *t, const double *x, double *result)
     for (int i = 0; i < t->arguments; i++) {
         int index;
         double weight, slope;
-        locate(t, x[i], &index, &weight, &slope);
+        locate_in_table(t, x[i], &index, &weight, &slope);
         const double *row = t->data + ((size_t)t->which[i] * t->points + index) * t->columns;
         for (int c = 0; c < t->columns; c++) *result++ = row[c] + weight * (row[c + t->columns] - row[c]);
     }
@@ -34,7 +34,7 @@ void table_forward(const table_data *t, const double *x, const double *dx, doubl
     for (int i = 0; i < t->arguments; i++) {
         int index;
         double weight, slope;
-        locate(t, x[i], &index, &weight, &slope);
+        locate_in_table(t, x[i], &index, &weight, &slope);
         const double *row = t->data + ((size_t)t->which[i] * t->points + index) * t->columns;
         for (int c = 0; c < t->columns; c++) *dresult++ = slope * (row[c + t->columns] - row[c]) * dx[i];
     }
