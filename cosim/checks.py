@@ -79,7 +79,7 @@ def check(system: System, isolated: Collection[str] = ()) -> CheckedSystem:
             raise CosimError(
                 f"{fmu.path.name} can be instantiated only once, but {' and '.join(users)} use it; isolate all but one"
             )
-    system = replace(system, connections=tuple(e for c in system.connections for e in _by_elements(c, names, fmus)))
+    system = by_elements(system)
     links = tuple(_link(c, names, fmus) for c in system.connections)
     fed: dict[tuple[int, str], Connection] = {}
     for connection, link in zip(system.connections, links, strict=True):
@@ -104,6 +104,16 @@ def check(system: System, isolated: Collection[str] = ()) -> CheckedSystem:
     mapped = tuple(c.mapped for c in system.components)
     warnings += [w for p in system.ports for w in _lost_pairs(p, fmus[names.index(p.component)])]
     return CheckedSystem(system.name, names, fmus, links, start, tuple(warnings), ports, mapped)
+
+
+def by_elements(system: System) -> System:
+    """The system with connections of whole arrays as those of their elements.
+
+    Raises:
+        CosimError: two arrays have different numbers of elements, or an FMU cannot be read.
+    """
+    fmus, names = tuple(read_fmu(c.fmu) for c in system.components), tuple(c.name for c in system.components)
+    return replace(system, connections=tuple(e for c in system.connections for e in _by_elements(c, names, fmus)))
 
 
 def _by_elements(connection: Connection, names: tuple[str, ...], fmus: tuple[Fmu, ...]) -> list[Connection]:

@@ -54,7 +54,7 @@ class FmuArray:
     """A variable of FMI 3.0; its elements, one if it is a scalar, have the numbers `first`, `first` + 1, ...
 
     Attributes:
-        type: FMI 3.0's.
+        type: FMI 3.0's. shape: () for a scalar; elements go row by row.
         start: of each element; 0 where none is given, and of text.
         intermediate: it can be set within a step.
     """
@@ -62,9 +62,13 @@ class FmuArray:
     reference: int
     type: str
     first: int
-    size: int
+    shape: tuple[int, ...]
     start: tuple[float, ...]
     intermediate: bool
+
+    @property
+    def size(self) -> int:
+        return math.prod(self.shape)
 
 
 @dataclass(frozen=True)
@@ -108,6 +112,15 @@ class Fmu:
         if name not in self.variables:
             raise CosimError(f"{component}: no variable '{name}' in {self.path.name}{nearest(name, self.variables)}")
         return self.variables[name]
+
+    def array_of(self, name: str) -> tuple[str, FmuArray] | None:
+        """Name of the array and the array of which the variable of that name is an element; None if it is of none."""
+        reference = self.variables[name].reference
+        found = next((a for a in self.arrays if 0 <= reference - a.first < a.size), None)
+        if found is None or not found.shape:
+            return None
+        opening, close = name.rindex("["), ")" if name.endswith(")") else ""  # der(x[1])
+        return name[:opening] + close, found
 
 
 def read_fmu(path: Path) -> Fmu:
@@ -216,7 +229,7 @@ def _of_version_3(path: Path, md: Any, units: Mapping[str, Unit]) -> dict[str, A
                 raise CosimError(f"FMU {path}: {v.name}: more than {MOST_ELEMENTS} elements with it; use less")
             numbers = (0.0,) if v.type == "String" else tuple(_number(text) for text in _starts(v, size))
             arrays[v.valueReference] = FmuArray(
-                v.valueReference, v.type, count, size, numbers, str(v.valueReference) in asked
+                v.valueReference, v.type, count, v.shape, numbers, str(v.valueReference) in asked
             )
             count += size
         array = arrays[v.valueReference]

@@ -298,21 +298,19 @@ class _Whole:
 
     def _link(self, element: Any, path: str) -> tuple[End, End, Connection]:
         ends: list[End] = []
+        units: list[Unit | None] = []
         for side in ("start", "end"):
             name, connector = element.get(f"{side}Element"), element.get(f"{side}Connector")
             if not connector:
                 raise CosimError(f"{self.origin.file}: a Connection has no {side}Connector")
             owner = path if name is None else f"{path}.{name}" if path else name
-            ends.append((owner, connector))
-            if element.get(f"{side}Indices"):
-                raise CosimError(
-                    f"{self.origin.file}: {connector}: elements of arrays cannot be connected; FMI 2.0 has none"
-                )
+            indices = ",".join((element.get(f"{side}Indices") or "").split())  # from one, as Modelica's
+            units.append(self.connectors.get((owner, connector)))
+            ends.append((owner, f"{connector}[{indices}]" if indices else connector))
         start, end = ends
         factor, offset = transformation(element, f"{self.origin.file}: {'.'.join(start)}")
         convert = not true(element.get("suppressUnitConversion"))
-        units = self.connectors.get(start), self.connectors.get(end)
-        return start, end, Connection(*start, *end, factor, offset, convert, units)
+        return start, end, Connection(*start, *end, factor, offset, convert, (units[0], units[1]))
 
 
 def _joined(chain: Sequence[Connection], file: Path) -> Connection:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from collections.abc import Iterator, Mapping
@@ -265,21 +266,35 @@ def _parameter_set(element: Any, origin: Origin) -> dict[str, StartValue]:
         if not text and tag_of(typed[0]) == "String" and len(typed[0]) == 1:  # SSP 2.0
             text = typed[0][0].get("value", "")
         try:
-            value = _value(typed[0], text, element, origin)
             resolved = None if unit is None else units.get(unit) or named_unit(unit)
+            found = {
+                n: StartValue(_value(typed[0], t, element, origin), resolved) for n, t in _elements(parameter, text)
+            }
         except ValueError as error:
             if isinstance(error, CosimError):
                 raise
             raise CosimError(f"{file}: parameter '{name}' = '{text[:80]}': {error}") from error
-        values[name] = StartValue(value, resolved)
+        values |= found
     return values
+
+
+def _elements(parameter: Any, text: str) -> list[tuple[str, str]]:
+    """Name and text of a parameter's value, or of each element of an array (SSP 2.0), row by row."""
+    name, sizes = parameter.get("name"), [d.get("size") for d in parameter.iterfind("{*}Dimension")]
+    if not sizes:
+        return [(name, text)]
+    texts, shape = text.split(), [int(n or 0) for n in sizes]
+    if len(texts) != math.prod(shape) or not texts:
+        raise ValueError(f"{len(texts)} values for an array of {' x '.join(map(str, shape))} elements")
+    indices = itertools.product(*(range(1, n + 1) for n in shape))
+    return [(f"{name}[{','.join(map(str, i))}]", t) for i, t in zip(indices, texts, strict=True)]
 
 
 def _value(typed: Any, text: str, parameters: Any, origin: Origin) -> Value:
     """A parameter's value; a String that names a file beside the parameter set becomes its full path."""
     kind = tag_of(typed)
     if kind in (*REALS, *INTEGERS) and len(text.split()) > 1:
-        raise ValueError("is an array; FMI 2.0 has scalars, name the elements")
+        raise ValueError("several values without a Dimension")
     if kind in REALS:
         return float(text)
     if kind in INTEGERS:

@@ -11,9 +11,9 @@ from urllib.parse import quote
 from lxml import etree
 
 from cosim.archive import entry_names, folded, safe_name
-from cosim.checks import CheckedSystem, Link, check
+from cosim.checks import CheckedSystem, Link, by_elements, check
 from cosim.errors import CosimError
-from cosim.fmu import FmuVariable, Value, read_fmu
+from cosim.fmu import Fmu, FmuVariable, Value, read_fmu
 from cosim.resources import finds_resources, with_resources
 from cosim.run import RunSettings
 from cosim.ssp import PORTS, RUN, STRUCTURE
@@ -59,7 +59,10 @@ def write_package(
         raise CosimError(f"SSP {version}: there are {' and '.join(VERSIONS)}")
     if path.exists():
         raise CosimError(f"{path}: exists; choose another name (nothing is overwritten)")
+    system = by_elements(system)
     checked = check(system)
+    if version == "1.0":
+        _refuse_arrays(system)
     content = _Content()
     sources = {c.name: content.file(c.fmu, c.name) for c in system.components}
     root = _structure(system, path.stem, sources, version, checked.links)
@@ -152,16 +155,17 @@ def _structure(
         item = etree.SubElement(elements, f"{{{_SSD}}}Component", name=component.name, source=source)
         used = _connectors(system, component)
         connectors = etree.SubElement(item, f"{{{_SSD}}}Connectors") if used else None  # the schema wants one at least
-        for variable, kind in used:
-            connector = etree.SubElement(connectors, f"{{{_SSD}}}Connector", name=variable.name, kind=kind)
+        for name, (variable, kind, shape) in used.items():
+            connector = etree.SubElement(connectors, f"{{{_SSD}}}Connector", name=name, kind=kind)
             typed = etree.SubElement(connector, f"{{{_SSC}}}{_type(variable)}")
             if _defined(variable.unit):
                 typed.set("unit", variable.unit.name)
                 units[variable.unit.name] = variable.unit
+            _write_shape(connector, shape)
     connections = etree.SubElement(element, f"{{{_SSD}}}Connections") if system.connections else None
     for i, c in enumerate(system.connections):
-        written = etree.SubElement(connections, f"{{{_SSD}}}Connection", startElement=c.source, startConnector=c.output,
-                                   endElement=c.target, endConnector=c.input)  # fmt: skip
+        start, end = _end(system, c.source, c.output, "start"), _end(system, c.target, c.input, "end")
+        written = etree.SubElement(connections, f"{{{_SSD}}}Connection", start | end)
         if links and (links[i].factor, links[i].offset) != (1.0, 0.0):
             written.set("suppressUnitConversion", "true")
             etree.SubElement(written, f"{{{_SSC}}}LinearTransformation", factor=repr(links[i].factor),
@@ -185,10 +189,12 @@ def _bind(
     names = {n: public.get(n, n) for n in start}
     if len(set(names.values())) < len(names):  # the FMU has, for something else, a name that the system uses too
         names, renamed = {n: n for n in start}, False
-    variables = read_fmu(component.fmu).variables
+    fmu = read_fmu(component.fmu)
+    values, shapes = _whole(fmu, start)
+    names = {n: names.get(n, n) for n in values}
     ssv = content.free(f"{component.name}.ssv", component.name)
     content.entries[ssv] = _parameter_set(
-        PARAMETERS, {names[n]: (variables[n], v) for n, v in start.items()}, version,
+        PARAMETERS, {names[n]: v for n, v in values.items()}, shapes, version,
         lambda text: content.named_file(text, component.fmu, component.name),
     )  # fmt: skip
     parent = etree.SubElement(element, f"{{{_SSD}}}ParameterBindings")
@@ -202,22 +208,38 @@ def _bind(
         etree.SubElement(binding, f"{{{_SSD}}}ParameterMapping", source=quote(ssm))
 
 
+def _whole(
+    fmu: Fmu, start: Mapping[str, Value]
+) -> tuple[dict[str, tuple[FmuVariable, list[Value]]], dict[str, tuple[int, ...]]]:
+    """Start values by variable; arrays, of which any element is given, whole and with their shapes."""
+    values, shapes = dict[str, tuple[FmuVariable, list[Value]]](), dict[str, tuple[int, ...]]()
+    for name, value in start.items():
+        variable, found = fmu.variables[name], fmu.array_of(name)
+        whole, array = found or (name, None)
+        if array is not None and whole not in values:
+            as_type = {"Real": float, "Boolean": bool}.get(variable.type, int)
+            values[whole], shapes[whole] = (variable, [as_type(x) for x in array.start]), array.shape
+        values.setdefault(whole, (variable, [value]))[1][variable.reference - array.first if array else 0] = value
+    return values, shapes
+
+
 def _parameter_set(
-    name: str, values: Mapping[str, tuple[FmuVariable, Value]], version: Version, packed: Callable[[str], str]
+    name: str,
+    values: Mapping[str, tuple[FmuVariable, Sequence[Value]]],
+    shapes: Mapping[str, Sequence[int]],
+    version: Version,
+    packed: Callable[[str], str],
 ) -> bytes:
     """The text of a parameter set; `packed` puts the file that a text names, if any, into the package."""
     root = etree.Element(
         f"{{{_SSV}}}ParameterSet", {"version": version, "name": name}, nsmap={"ssv": _SSV, "ssc": _SSC}
     )
     parameters, units = etree.SubElement(root, f"{{{_SSV}}}Parameters"), dict[str, Unit]()
-    for parameter, (variable, value) in values.items():
+    for parameter, (variable, own) in values.items():
         element = etree.SubElement(parameters, f"{{{_SSV}}}Parameter", name=parameter)
-        if isinstance(value, str):
-            value = packed(value)
-        text = (
-            str(value).lower() if isinstance(value, bool) else repr(value) if isinstance(value, float) else str(value)
-        )
+        text = " ".join(packed(v) if isinstance(v, str) else _number(v) for v in own)
         typed = etree.SubElement(element, f"{{{_SSV}}}{_type(variable)}", value=text)
+        _write_shape(element, shapes.get(parameter, ()))
         if _defined(variable.unit):
             typed.set("unit", variable.unit.name)
             units[variable.unit.name] = variable.unit
@@ -266,16 +288,38 @@ def _write_ports(parent: Any, ports: Sequence[Port]) -> None:
             etree.SubElement(element, "Pair", effort=effort, flow=flow, **({"position": position} if position else {}))
 
 
-def _connectors(system: System, component: ComponentInstance) -> list[tuple[FmuVariable, str]]:
-    name, used = component.name, []
+def _connectors(system: System, component: ComponentInstance) -> dict[str, tuple[FmuVariable, str, tuple[int, ...]]]:
+    """What is connected of a component, by name: a variable, or an array with one of its elements; kind, shape."""
+    name, fmu = component.name, read_fmu(component.fmu)
+    used = dict[str, tuple[FmuVariable, str, tuple[int, ...]]]()
     taken = {c.input for c in system.connections if c.target == name}
     given = {c.output for c in system.connections if c.source == name}
-    for variable in read_fmu(component.fmu).variables.values():
-        if variable.name in taken:
-            used.append((variable, "input"))
-        elif variable.name in given:
-            used.append((variable, "output"))
+    for variable in fmu.variables.values():
+        if variable.name in taken | given:
+            whole, array = fmu.array_of(variable.name) or (variable.name, None)
+            used[whole] = (variable, "input" if variable.name in taken else "output", array.shape if array else ())
     return used
+
+
+def _end(system: System, component: str, variable: str, side: str) -> dict[str, str]:
+    """Attributes of a connection's end; elements of arrays are told by indices, from one."""
+    whole = read_fmu(system.component(component).fmu).array_of(variable)
+    named = {f"{side}Element": component, f"{side}Connector": whole[0] if whole else variable}
+    indices = variable[variable.rindex("[") + 1 :].rstrip("])").replace(",", " ") if whole else ""
+    return named | ({f"{side}Indices": indices} if whole else {})
+
+
+def _write_shape(parent: Any, shape: Sequence[int]) -> None:
+    for size in shape:
+        etree.SubElement(parent, f"{{{_SSC}}}Dimension", size=str(size))
+
+
+def _refuse_arrays(system: System) -> None:
+    for c in system.connections:
+        for owner, variable in ((c.source, c.output), (c.target, c.input)):
+            fmu = read_fmu(system.component(owner).fmu)
+            if fmu.array_of(variable):
+                raise CosimError(f"{owner}: {variable} is of an array (FMI 3.0), which SSP 1.0 cannot connect; use 2.0")
 
 
 def _write_units(root: Any, units: Mapping[str, Unit], namespace: str) -> None:
@@ -295,6 +339,10 @@ def _write_units(root: Any, units: Mapping[str, Unit], namespace: str) -> None:
 def _defined(unit: Unit | None) -> TypeGuard[Unit]:
     """Whether a unit can be written; one without definition stands for itself only."""
     return unit is not None and {b for b, _ in unit.exponents} <= {"kg", "m", "s", "A", "K", "mol", "cd", "rad"}
+
+
+def _number(value: float | bool) -> str:
+    return str(value).lower() if isinstance(value, bool) else repr(value)
 
 
 def _type(variable: FmuVariable) -> str:

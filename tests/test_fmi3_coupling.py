@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyssp_standard
 import pytest
+from lxml import etree
 
 from cosim.case import read_case
 from cosim.cli.run import Changes, prepare
 from cosim.errors import CosimError, RunFailed
 from cosim.fmu import read_fmu
 from cosim.run import RunSettings, simulate
+from cosim.ssp import read_package
+from cosim.ssp_writer import write_package
 from cosim.swap import NameRule, with_swapped
 from cosim.system import ComponentInstance, Connection, StartValue, System
 from fmus_src.component import Component
@@ -85,6 +90,33 @@ def test_a_damper_of_fmi_3_in_the_place_of_ours(fmu_folder: Path, tmp_path: Path
     for channel in ("PtfmPitch", "TwrBsMyt", "NStC1_XQ", "NStC1_XQD"):
         expected = ours.frame()[channel]
         assert np.abs(theirs.frame()[channel] - expected).max() < 1e-9 * np.abs(expected).max(), channel
+
+
+def test_packages_hold_arrays_of_fmi_3(both: dict[str, System], foreign: Path, tmp_path: Path) -> None:
+    """SSP 2.0 names an element by its array and indices; SSP 1.0 has no arrays. Read back, the run is the same bits."""
+    start = {"in.Float64[2]": StartValue(-2.5), "in.Boolean[1]": StartValue(True), "in.UInt8[1]": StartValue(7)}
+    parts = (*both["23"].components, ComponentInstance("a", foreign, start), ComponentInstance("b", foreign))
+    wires = (*both["23"].connections, Connection("structure", "position", "a", "in.Float64[1]"))
+    wires += tuple(Connection("a", f"out.{kind}", "b", f"in.{kind}") for kind in ("Float64", "Boolean", "UInt8"))
+    system = System("arrays", parts, wires)
+    record = ("structure.position", *(f"b.out.{t}[{i}]" for t in ("Float64", "Boolean", "UInt8") for i in (1, 2)))
+    settings = RunSettings(stop=1.0, step=0.05, record=record)
+    with pytest.raises(CosimError, match=r"a: in.Float64\[1\] is of an array .* SSP 1.0 cannot connect; use 2.0"):
+        write_package(system, settings, tmp_path / "one.ssp")
+    package = write_package(system, settings, tmp_path / "two.ssp", "2.0")
+    schemas = Path(pyssp_standard.__file__).parent / "resources/ssp2"
+    with zipfile.ZipFile(package) as archive:
+        for name in archive.namelist():
+            kind = {"ssd": "Description", "ssv": "ParameterValues"}.get(name.rpartition(".")[2])
+            if kind:
+                root = etree.fromstring(archive.read(name))
+                etree.XMLSchema(etree.parse(str(schemas / f"SystemStructure{kind}.xsd"))).assertValid(root)
+    again = read_package(package, tmp_path / "unpacked").system
+    assert len(again.connections) == len(wires) + 3  # whole arrays of two
+    expected = simulate(system, settings, tmp_path / "ours").frame()
+    assert expected["b.out.Float64[2]"].iloc[-1] == -2.5
+    assert expected["b.out.UInt8[1]"].iloc[-1] == 7
+    assert simulate(again, settings, tmp_path / "again").frame().equals(expected)
 
 
 @pytest.mark.slow
