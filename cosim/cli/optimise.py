@@ -65,7 +65,9 @@ WorkersOption = Annotated[int, typer.Option(min=1, help="Threads; the result doe
 
 
 def optimise(
-    damper: Annotated[str | None, typer.Argument(help="tmd-n, tmd-p or mtmd; not needed with --resume.")] = None,
+    damper: Annotated[
+        str | None, typer.Argument(help="tmd-n, tmd-p, mtmd; coupled: any arrangement. Not needed with --resume.")
+    ] = None,
     objective: Annotated[
         ObjectiveName | None,
         typer.Option(
@@ -271,5 +273,5 @@ def _request(given: dict[str, Any], resume: Path | None) -> Request:
         refuse_another(resume / CHECKPOINT, saved, saved | asked)
         return Request.of_problem(saved).resolved()
     if "damper" not in asked:
-        raise CosimError("name a damper to tune: tmd-n, tmd-p or mtmd")
+        raise CosimError("name a damper to tune: tmd-n, tmd-p, mtmd; with --objective coupled also tlcd-p, tmdi-n")
     return Request(**asked).resolved()

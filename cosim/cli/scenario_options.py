@@ -127,7 +127,7 @@ def _task(given: Mapping[str, Any]) -> Design:
     from optimisation.tuning import Request
 
     if not given.get("damper"):
-        raise CosimError("name a damper to tune: tmd-n, tmd-p or mtmd")
+        raise CosimError("name a damper to tune: tmd-n, tmd-p, mtmd; with --objective coupled also tlcd-p, tmdi-n")
     names = ("bounds", "variables")
     return Request(given["damper"], **{n: given[n] for n in names if given.get(n)}).task()
 
