@@ -8,7 +8,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
 from cosim.errors import CosimError, nearest
-from cosim.fmu import Fmu, FmuVariable, Value, read_fmu
+from cosim.fmu import Fmu, FmuVariable, Value, elements, read_fmu
 from cosim.system import ComponentInstance, Connection, Mapped, Port, StartValue, System
 from fmus_src.units import Unit, conversion
 
@@ -81,21 +81,21 @@ def check(system: System, isolated: Collection[str] = ()) -> CheckedSystem:
             )
     system = by_elements(system)
     links = tuple(_link(c, names, fmus) for c in system.connections)
-    fed: dict[tuple[int, str], Connection] = {}
+    fed: dict[tuple[int, str, int], Connection] = {}  # by reference: an input may have several names
     for connection, link in zip(system.connections, links, strict=True):
-        other = fed.setdefault((link.target, link.input.name), connection)
+        other = fed.setdefault((link.target, link.input.type, link.input.reference), connection)
         if other is not connection:
             raise CosimError(
                 f"{connection.target}.{connection.input} has two sources: {other} and {connection}; keep one"
             )
     start = tuple(
-        {n: _start_value(c, f.variable(c.name, n), v) for n, v in c.start.items()}
+        {n: _start_value(c, f.variable(c.name, n), v, f.version) for n, v in c.start.items()}
         for c, f in zip(system.components, fmus, strict=True)
     )
     warnings = [*system.notes, *_unitless(links, names)]
     for k, (name, fmu) in enumerate(zip(names, fmus, strict=True)):
         inputs = [v for v in fmu.variables.values() if v.causality == "input"]
-        loose = [v for v in inputs if (k, v.name) not in fed and (name, v.name) not in system.open_inputs]
+        loose = [v for v in inputs if (k, v.type, v.reference) not in fed and (name, v.name) not in system.open_inputs]
         if loose:
             values = ", ".join(f"{v.name} = {start[k].get(v.name, v.start)}" for v in loose[:LISTED])
             values += f", ... ({len(loose)} inputs)" if len(loose) > LISTED else ""
@@ -117,11 +117,11 @@ def by_elements(system: System) -> System:
 
 
 def _by_elements(connection: Connection, names: tuple[str, ...], fmus: tuple[Fmu, ...]) -> list[Connection]:
-    """A connection of whole arrays as those of their elements."""
+    """A connection of whole arrays as those of their elements: of equal indices, or else in their order."""
     found = []
     for name, variable in ((connection.source, connection.output), (connection.target, connection.input)):
         known: Collection[str] = fmus[names.index(name)].variables if name in names else ()
-        found.append([n for n in known if n.startswith(f"{variable}[")] if variable not in known else [])
+        found.append(elements(known, variable) if variable not in known else [])
     if not all(found):
         return [connection]
     if len(found[0]) != len(found[1]):
@@ -220,7 +220,7 @@ def _unitless(links: tuple[Link, ...], names: tuple[str, ...]) -> list[str]:
     return warnings
 
 
-def _start_value(component: ComponentInstance, variable: FmuVariable, given: StartValue) -> Value:
+def _start_value(component: ComponentInstance, variable: FmuVariable, given: StartValue, version: str) -> Value:
     """The value in the FMU's unit and type, within its bounds."""
     where = f"{component.name}.{variable.name} = {given.value}"
     chosen = variable.initial in ("exact", "approx") and variable.causality != "structuralParameter"
@@ -230,8 +230,10 @@ def _start_value(component: ComponentInstance, variable: FmuVariable, given: Sta
     value = _typed(where, variable, given.value)
     if isinstance(value, (bool, str)):
         return value
-    if isinstance(value, int) and not -(2**31) <= value < 2**31:
+    if isinstance(value, int) and version == "2.0" and not -(2**31) <= value < 2**31:
         raise CosimError(f"{where}: does not fit an FMI integer of 32 bits")
+    if isinstance(value, int) and abs(value) > 2**53:
+        raise CosimError(f"{where}: has more than 53 bits, so that it would not pass as it is; give a smaller one")
     if given.unit is not None and variable.unit is not None:
         try:
             factor, offset = conversion(given.unit, variable.unit)
@@ -260,12 +262,7 @@ def _typed(where: str, variable: FmuVariable, value: Value) -> Value:
         raise CosimError(f"{variable.name}: an integer of {len(str(value))} digits is no value that can be set")
     if variable.type == "Real" and number:
         return float(value)
-    if (
-        variable.type in ("Integer", "Enumeration")
-        and number
-        and math.isfinite(float(value))
-        and float(value) == int(value)
-    ):
+    if variable.type in ("Integer", "Enumeration") and number and math.isfinite(float(value)) and value == int(value):
         return int(value)
     if variable.type == "Boolean" and (isinstance(value, bool) or value in (0, 1)):
         return bool(value)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Collection, Iterator, Mapping
+import re
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -110,6 +111,10 @@ class Fmu:
             CosimError: no such variable.
         """
         if name not in self.variables:
+            within = elements(self.variables, name)
+            if within:
+                file = self.path.name
+                raise CosimError(f"{component}: '{name}' is an array in {file}; name an element, as {within[0]}")
             raise CosimError(f"{component}: no variable '{name}' in {self.path.name}{nearest(name, self.variables)}")
         return self.variables[name]
 
@@ -121,6 +126,13 @@ class Fmu:
             return None
         opening, close = name.rindex("["), ")" if name.endswith(")") else ""  # der(x[1])
         return name[:opening] + close, found
+
+
+def elements(names: Iterable[str], array: str) -> list[str]:
+    """Those of the names that are elements of an array, by their indices: `x[2]`, `x[10]`; `x[1,2]` row by row."""
+    indices = {n: n[len(array) + 1 : -1] for n in names if n.startswith(f"{array}[")}
+    found = {n: [int(i) for i in text.split(",")] for n, text in indices.items() if re.fullmatch(r"\d+(, *\d+)*", text)}
+    return sorted(found, key=found.__getitem__)
 
 
 def read_fmu(path: Path) -> Fmu:
@@ -216,7 +228,10 @@ def _feedthrough(
 def _of_version_3(path: Path, md: Any, units: Mapping[str, Unit]) -> dict[str, Any]:
     """What FMI 3.0 says in its own way, some of which FMPy does not read."""
     root = archive.parse_xml(archive.read_entry(path, "modelDescription.xml"), "modelDescription.xml")
-    asked = {e.get("valueReference") for e in root.iter() if e.get("intermediateUpdate") in ("true", "1")}
+    asked = {int(e.get("valueReference")) for e in root.iter() if e.get("intermediateUpdate") in ("true", "1")}
+    for v, e in zip(md.modelVariables, (e for e in root.find("ModelVariables") if e.get("name")), strict=False):
+        if v.type.startswith("UInt"):  # of which FMPy reads no bounds
+            v.min, v.max = e.get("min"), e.get("max")
     interface = root.find("CoSimulation")
     arrays, variables, names = dict[int, FmuArray](), dict[str, FmuVariable](), dict[int, list[str]]()
     count = 0
@@ -225,11 +240,14 @@ def _of_version_3(path: Path, md: Any, units: Mapping[str, Unit]) -> dict[str, A
             continue
         if v.valueReference not in arrays:
             size = math.prod(v.shape)
+            given = len(v.start.split()) if v.start is not None and v.type != "String" else 1
+            if size and given not in (1, size):
+                raise CosimError(f"FMU {path}: {v.name} has {given} start values for {size} elements; build it again")
             if count + size > MOST_ELEMENTS:
                 raise CosimError(f"FMU {path}: {v.name}: more than {MOST_ELEMENTS} elements with it; use less")
             numbers = (0.0,) if v.type == "String" else tuple(_number(text) for text in _starts(v, size))
             arrays[v.valueReference] = FmuArray(
-                v.valueReference, v.type, count, v.shape, numbers, str(v.valueReference) in asked
+                v.valueReference, v.type, count, v.shape, numbers, v.valueReference in asked
             )
             count += size
         array = arrays[v.valueReference]
@@ -237,6 +255,9 @@ def _of_version_3(path: Path, md: Any, units: Mapping[str, Unit]) -> dict[str, A
             n: _variable(v, units, n, array.first + i, text)
             for i, (n, text) in enumerate(zip(_element_names(v), _starts(v, array.size), strict=True))
         }
+        twice = variables.keys() & found
+        if twice:
+            raise CosimError(f"FMU {path}: two variables are called {min(twice)}; give each its own name")
         variables |= found
         names.setdefault(id(v.alias or v), []).extend(found)
     real = [v for v in md.modelVariables if KINDS.get(v.type) == "Real" and v.causality in ("input", "output")]

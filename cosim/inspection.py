@@ -126,7 +126,8 @@ def _variable(v: Any) -> dict[str, Any]:
     declared = v.declaredType
     unit = v.unit or (declared.unit if declared is not None else None)
     facts = {
-        "name": v.name, "causality": v.causality or "local", "variability": v.variability or "", "type": v.type,
+        "name": v.name, "causality": v.causality or "local", "variability": v.variability or "",
+        "type": f"{v.type}[{','.join(map(str, v.shape))}]" if v.shape else v.type,
         "unit": unit or "", "start": "" if v.start is None else str(v.start), "description": v.description or "",
     }  # fmt: skip
     limits = {n: str(getattr(v, n)) for n in ("min", "max") if getattr(v, n) is not None}

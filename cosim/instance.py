@@ -156,7 +156,7 @@ class Instance3(Instance):
         library = kernel.library()
         self._adapter, self._kept = _adapter(self.fmu, self._dll, self.log)
         inputs = {v.reference for v in self.fmu.variables.values() if v.causality == "input"}
-        within = [a.reference for a in self.fmu.arrays if a.intermediate and a.first in inputs]
+        within = [a.reference for a in self.fmu.arrays if a.intermediate and a.size and a.first in inputs]
         asked = within if self.fmu.interpolates else []
         function = self._dll.fmi3InstantiateCoSimulation
         function.restype = c_void_p
@@ -178,14 +178,12 @@ class Instance3(Instance):
             variable = self.fmu.variables[name]
             what = f"{name} = {value}: "
             if isinstance(value, str):
-                number = next(a.reference for a in self.fmu.arrays if a.first == variable.reference)
+                number = next(a.reference for a in self.fmu.arrays if a.size and a.first == variable.reference)
                 text, one = (c_char_p * 1)(value.encode()), c_size_t(1)
                 self._call("fmi3SetString", (c_uint * 1)(number), one, text, one, what=what)
                 continue
-            kind = "Integer" if variable.type == "Enumeration" else variable.type
-            setter = getattr(kernel.library(), f"adapter_set_{kind.lower()}")
-            element, array = (c_uint * 1)(variable.reference), (_C_TYPES[kind] * 1)(value)
-            status = setter(ctypes.byref(self._adapter), element, c_size_t(1), array)
+            element, array = (c_uint * 1)(variable.reference), (c_double * 1)(value)
+            status = kernel.library().adapter_set_real(ctypes.byref(self._adapter), element, c_size_t(1), array)
             self._judge(f"fmi3Set of {variable.type}", status, what)
 
     def enter_initialisation(self) -> None:
@@ -199,7 +197,7 @@ class Instance3(Instance):
 
     def member(self) -> dict[str, int | None]:
         """Addresses that the kernel calls: of the adapter, and of its functions by the kernel's names."""
-        offered = self._offered()
+        offered = self._offered() | {"get_integer": False, "set_integer": False}  # they pass as reals
         functions = {
             short: ctypes.cast(getattr(kernel.library(), f"adapter_{short}"), c_void_p).value
             if offered.get(short, True) else None

@@ -194,6 +194,9 @@ class Stepper:
             )
         if plan.cause in (kernel.NOT_CONVERGED, kernel.LOOP_OPEN):
             raise RunFailed(self._unsolved(plan, end))
+        if plan.cause == kernel.SET_FAILED and plan.failed_value >= 0:
+            value = f"{self._input_name(plan.failed_value)} = {plan.failed_number:.15g} at t = {self.time:.6g} s"
+            raise RunFailed(f"{value}: does not fit an FMI integer of 32 bits; connect what does, or an FMU of FMI 3.0")
         failure = instance.failure(kernel.CAUSES[plan.cause], plan.status, self.time)
         if plan.status == kernel.FATAL:
             self._abandon(instance)

@@ -24,7 +24,7 @@ import pyarrow.parquet as pq
 
 from cosim.checks import CheckedSystem
 from cosim.errors import CosimError, nearest
-from cosim.fmu import VARYING, FmuVariable
+from cosim.fmu import VARYING, FmuVariable, elements
 from cosim.system import Mapped, split_name
 from fmus_src.units import conversion
 from fmus_src.units import unit as named_unit
@@ -86,7 +86,8 @@ def select_channels(
     """Channels that the system has, and variables that match a pattern, under their full names.
 
     Channels of components that the system lacks are left out; those of variables that an FMU lacks, too, with a
-    warning. In patterns, * and ? are wild; they find what varies (parameters by their full name only).
+    warning. A pattern may be the name of an array. In patterns, * and ? are wild; they find what varies (parameters by
+    their full name only).
 
     Raises:
         CosimError: a pattern matches nothing, or a unit cannot be converted.
@@ -108,7 +109,8 @@ def select_channels(
     full = {f"{n}.{v.name}": (k, v) for k, n in enumerate(system.names) for v in system.fmus[k].variables.values()}
     raw: dict[str, tuple[int, FmuVariable]] = {}
     for pattern in patterns:
-        found = {pattern: full[pattern]} if pattern in full else {
+        named = [pattern] if pattern in full else elements(full, pattern)
+        found = {n: full[n] for n in named} or {
             n: kv for n, kv in full.items()
             if fnmatchcase(n, pattern.replace("[", "[[]")) and kv[1].variability in VARYING and kv[1].type != "String"
             and ("der(" in pattern or not kv[1].name.startswith("der("))  # which are for solvers

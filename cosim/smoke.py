@@ -80,7 +80,7 @@ class _Fmu:
         self.md: Any = fmpy.read_model_description(str(folder), validate=False)
         self.second = self.md.fmiVersion == "2.0"
         kind = "Real" if self.second else "Float64"
-        reals = [r for v in self.md.modelVariables if v.type == kind for r in _elements(v)]
+        reals = [r for v in self.md.modelVariables if v.type == kind and v.alias is None for r in _elements(v)]
         self.inputs = [r for r in reals if r.causality == "input"]
         self.outputs = [r for r in reals if r.causality == "output"]
         self.set_at_start = [r for r in reals if r.settable]

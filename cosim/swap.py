@@ -9,7 +9,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 
 from cosim.errors import CosimError, nearest
-from cosim.fmu import Fmu, read_fmu
+from cosim.fmu import Fmu, elements, read_fmu
 from cosim.system import ComponentInstance, Connection, Mapped, Port, StartValue, System, with_parameters
 
 NONE = "-"
@@ -87,7 +87,8 @@ def _resolve(
             mapped[n] = Mapped(n, unit=unit, unitless=True)
     for rule in [e for given in rules for e in _by_elements(name, given, known, new)]:
         if rule.target == NONE:
-            found = {rule.variable} & known or {n for n in known if fnmatchcase(n, rule.variable.replace("[", "[[]"))}
+            found = {rule.variable} & known or set(elements(known, rule.variable))
+            found = found or {n for n in known if fnmatchcase(n, rule.variable.replace("[", "[[]"))}
         else:
             found = {rule.variable} & known
         if not found:
@@ -111,8 +112,7 @@ def _resolve(
 
 def _by_elements(name: str, rule: NameRule, known: set[str], new: Fmu) -> list[NameRule]:
     """A rule for whole arrays as those for their elements."""
-    ours, theirs = ([n for n in names if n.startswith(f"{array}[")] for names, array in (
-        (sorted(known), rule.variable), (new.variables, rule.target)))  # fmt: skip
+    ours, theirs = elements(known, rule.variable), elements(new.variables, rule.target)
     if rule.variable in known or rule.target in new.variables or not (ours and theirs):
         return [rule]
     if len(ours) != len(theirs):

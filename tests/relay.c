@@ -11,7 +11,8 @@ enum { N_TYPES = 11, LENGTH = 2, OUT = 20, FAIL_AT = 40, HOW, MEAN, LEVEL, LABEL
 
 typedef struct {
     double in[N_TYPES][LENGTH], out[N_TYPES][LENGTH], fail_at, mean[LENGTH];
-    int32_t how; /* 1: end, 2: early return, 3: error, 4: a warning */
+    int32_t how; /* 1: end, 2: early return, 3: error, 4: a warning, 5: abort, 6: refuse inputs within the step */
+    int stepping;
     char label[64];
     int within;
     fmi3InstanceEnvironment environment;
@@ -27,7 +28,7 @@ fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3
     const size_t length = strlen(resources);
     if (strcmp(token, "relay") || events || early || resources[length - 1] != '/') return NULL;
     relay *r = calloc(1, sizeof *r);
-    r->environment = environment, r->log = log, r->update = update, r->within = n > 0, r->fail_at = 1e9;
+    r->environment = environment, r->log = log, r->update = update, r->within = n > 0, r->fail_at = 1e9, r->in[0][1] = 0.25;
     return r;
 }
 
@@ -61,6 +62,7 @@ static double *place(relay *r, fmi3ValueReference vr, int type, size_t *length)
         for (size_t i = 0; i < n; i++) {                                                                              \
             if (K == 6 && vr[i] == HOW) { r->how = (int32_t)v[at++]; continue; }                                       \
             double *to = place(r, vr[i], K, &length);                                                                 \
+            if (r->stepping && r->how == 6) return fmi3Error;                                                         \
             if (!to || at + length > n_values) return fmi3Error;                                                      \
             for (size_t e = 0; e < length; e++) to[e] = (double)v[at++];                                              \
         }                                                                                                             \
@@ -99,14 +101,17 @@ fmi3Status fmi3DoStep(fmi3Instance c, fmi3Float64 t, fmi3Float64 h, fmi3Boolean 
     relay *r = c;
     double a[LENGTH], b[LENGTH], d[LENGTH];
     (void)keep;
+    r->stepping = t + h >= r->fail_at;
     at_time(r, t, a), at_time(r, t + h / 2, b), at_time(r, t + h, d);
+    r->stepping = 0;
     for (int e = 0; e < LENGTH; e++) r->mean[e] = (a[e] + 4 * b[e] + d[e]) / 6;
     memcpy(r->out, r->in, sizeof r->out);
     *event = fmi3False, *end = fmi3False, *early = fmi3False, *reached = t + h;
     if (t + h < r->fail_at) return fmi3OK;
     *end = r->how == 1, *early = r->how == 2;
     if (r->how == 2) *reached = t + h / 2;
-    if (r->how < 3) return fmi3OK;
+    if (r->how < 3 || r->how > 5) return fmi3OK;
+    if (r->how == 5) abort();
     r->log(r->environment, r->how == 3 ? fmi3Error : fmi3Warning, "logAll", r->label[0] ? r->label : "100 % done");
     return r->how == 3 ? fmi3Error : fmi3Warning;
 }

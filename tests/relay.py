@@ -19,13 +19,13 @@ def description(*, intermediate: bool) -> str:
     variables = ['<Float64 name="time" valueReference="60" causality="independent"/>']
     variables += ['<UInt64 name="length" valueReference="50" causality="structuralParameter" start="2"/>']
     for i, kind in enumerate(TYPES):
-        start = "false" if kind == "Boolean" else "0"
-        real = f' intermediateUpdate="{yes}" unit="m"' if kind == "Float64" else ""
+        start = "0 0.25" if kind == "Float64" else "false false" if kind == "Boolean" else "0 0"
+        real = f' intermediateUpdate="{yes}"' if "Float" in kind else ""
         out = ' unit="m"' if kind == "Float64" else ""
         variables += [
             f'<{kind} name="in.{kind}" valueReference="{i}" causality="input"'
-            f' variability="{"continuous" if "Float" in kind else "discrete"}" start="{start} {start}"'
-            f"{real.replace('true', 'true' if kind == 'Float64' else 'false')}>{array}</{kind}>",
+            f' variability="{"continuous" if "Float" in kind else "discrete"}" start="{start}"'
+            f"{real}{out}>{array}</{kind}>",
             f'<{kind} name="out.{kind}" valueReference="{20 + i}" causality="output"{out}>{array}</{kind}>',
         ]
     variables += [

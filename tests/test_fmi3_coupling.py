@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ctypes
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from ctypes import POINTER, c_double, c_int, c_size_t, c_void_p
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +14,12 @@ import pyssp_standard
 import pytest
 from lxml import etree
 
+from cosim.archive import extract
 from cosim.case import read_case
 from cosim.cli.run import Changes, prepare
 from cosim.errors import CosimError, RunFailed
 from cosim.fmu import read_fmu
+from cosim.instance import instantiate
 from cosim.run import RunSettings, simulate
 from cosim.ssp import read_package
 from cosim.ssp_writer import write_package
@@ -25,7 +29,7 @@ from fmus_src.component import Component
 from fmus_src.export.build import build_fmu
 from fmus_src.library import build_library, make
 
-from .cosim_fmus import carried, mass, two_masses
+from .cosim_fmus import carried, mass, probe, two_masses
 from .relay import TYPES, relay
 
 RECORD = ("structure.position", "structure.velocity", "damper.position", "damper.force")
@@ -149,8 +153,8 @@ def values_of(kind: str) -> tuple[float | bool, float | bool]:
         return True, False
     if kind.startswith("Float"):
         return 0.1 if kind == "Float64" else 0.5, -3.25
-    bits = min(int(kind.lstrip("UInt")), 32)
-    return (2**bits // 2 - 1, 0) if kind.startswith("U") else (2 ** (bits - 1) - 1, -(2 ** (bits - 1)))
+    bits = min(int(kind.lstrip("UInt")), 53)
+    return (2**bits - 1, 0) if kind.startswith("U") else (2 ** (bits - 1) - 1, -(2 ** (bits - 1)))
 
 
 def test_every_type_passes_from_array_to_array(foreign: Path, tmp_path: Path) -> None:
@@ -166,13 +170,33 @@ def test_every_type_passes_from_array_to_array(foreign: Path, tmp_path: Path) ->
     assert frame.iloc[-1].tolist() == [float(v) for t in TYPES for v in values_of(t)]
 
 
+@pytest.mark.parametrize("isolate", [(), ("all",)])
+def test_a_wide_integer_does_not_wrap_in_fmi_2(isolate: tuple[str, ...], foreign: Path, tmp_path: Path) -> None:
+    """It passes as it is where it fits, and ends the run where it has more than FMI 2.0's 32 bits."""
+    for value in (-(2**31) + 1, 2**40):
+        parts = (
+            ComponentInstance("a", foreign, {"in.Int64[1]": StartValue(value)}),
+            ComponentInstance("b", probe(tmp_path)),
+        )
+        system = System("two", parts, (Connection("a", "out.Int64[1]", "b", "count"),))
+        settings = RunSettings(stop=0.4, step=0.1, record=("a.out.Int64[1]", "b.number"), isolate=isolate)
+        if value < 2**31:
+            rows = simulate(system, settings, tmp_path / f"{value}").frame()
+            assert rows["a.out.Int64[1]"].iloc[-1] == value
+            continue
+        with pytest.raises(
+            RunFailed, match=r"b.count = 1099511627776 at t = 0.1 s: does not fit an FMI integer of 32 bits"
+        ):
+            simulate(system, settings, tmp_path / f"{value}")
+
+
 def test_whole_arrays_are_mapped(foreign: Path, tmp_path: Path) -> None:
     """The replaced FMU has the array under another name, and of single precision."""
     start = {"in.Float64[1]": StartValue(0.1), "in.Float64[2]": StartValue(-2.0)}
     parts = (ComponentInstance("a", foreign, start), ComponentInstance("b", foreign))
     wires = tuple(Connection("a", f"out.Float64[{i}]", "b", f"in.Float64[{i}]") for i in (1, 2))
     swapped = with_swapped(System("relays", parts, wires), "b", foreign, [NameRule("in.Float64", "in.Float32")])
-    settings = RunSettings(stop=1.0, step=0.1, record=("b.out.Float32*",))
+    settings = RunSettings(stop=1.0, step=0.1, record=("b.out.Float32",))
     frame = simulate(swapped, settings, tmp_path / "run").frame()
     assert frame.iloc[-1].tolist() == [float(np.float32(0.1)), -2.0]
     with pytest.raises(CosimError, match=r"map b.in.Float64: the system has no such variable; did you mean"):
@@ -191,12 +215,14 @@ def test_inputs_move_within_the_step(intermediate: bool, tolerance: float, built
         ),
         (Connection("body", "position", "relay", "in.Float64[1]"),),
     )
-    record = ("relay.mean[1]", "relay.average[1]", "relay.level", "body.position")
+    assert read_fmu(system.components[1].fmu).interpolates == intermediate
+    record = ("relay.mean", "relay.average[1]", "relay.level", "body.position")
     h = 0.1
     frame = simulate(system, RunSettings(stop=2.0, step=h, record=record), tmp_path / "run").frame()
     t = frame.index.to_numpy()[3:]
     exact = (t**3 - (t - h) ** 3) / (6.0 * h)
     np.testing.assert_allclose(frame["relay.mean[1]"].to_numpy()[3:], exact, rtol=0.0, atol=tolerance)
+    assert set(frame["relay.mean[2]"].iloc[1:]) == {0.25}  # not connected: as it starts, though set with its neighbour
     assert frame["relay.average[1]"].equals(frame["relay.mean[1]"].rename("relay.average[1]"))
     # direct feed-through sees the end of the step
     np.testing.assert_allclose(frame["relay.level"].to_numpy(), frame["body.position"].to_numpy(), atol=1e-12)
@@ -222,6 +248,54 @@ def test_failures_are_told_in_the_words_of_fmi_3(
     assert words in str(failure.value)
 
 
+def test_an_isolated_fmu_may_crash(foreign: Path, tmp_path: Path) -> None:
+    start = {"fail_at": StartValue(0.46), "how": StartValue(5)}
+    system = System("one", (ComponentInstance("relay", foreign, start),))
+    settings = RunSettings(stop=1.0, step=0.1, record=("relay.mean[1]",), isolate=("all",))
+    with pytest.raises(RunFailed, match=r"the process of relay.fmu died .* at t = 0.4 s in fmi3DoStep"):
+        simulate(system, settings, tmp_path / "run")
+
+
+def test_inputs_refused_within_the_step_end_the_run(foreign: Path, tmp_path: Path, built: Any) -> None:
+    """The FMU asks for inputs, refuses them, and says that its step went well: it did not."""
+    start = {"fail_at": StartValue(0.46), "how": StartValue(6)}
+    parts = (ComponentInstance("body", built(mass()), {"force": StartValue(1.0)}),)
+    parts += (ComponentInstance("relay", foreign, start),)
+    system = System("two", parts, (Connection("body", "position", "relay", "in.Float64[1]"),))
+    with pytest.raises(RunFailed, match=r"relay: fmi3DoStep returned fmi3Error at t = 0.4 s"):
+        simulate(system, RunSettings(stop=1.0, step=0.1, record=("relay.mean[1]",)), tmp_path / "run")
+
+
+def derivative(path: Path, folder: Path, outputs: Sequence[str], inputs: Mapping[str, float]) -> list[float]:
+    """Change of the outputs with the inputs, by the function that the kernel calls; after a call for all inputs, of
+    which nothing is to be left."""
+    fmu = read_fmu(path)
+    one = instantiate("one", fmu, extract(path, folder), 0.0)
+    one.enter_initialisation()
+    one.exit_initialisation()
+    member = one.member()
+    function = ctypes.CFUNCTYPE(
+        c_int, c_void_p, c_void_p, c_size_t, c_void_p, c_size_t, POINTER(c_double), POINTER(c_double)
+    )(member["directional"] or 0)
+    found = (c_double * len(outputs))()
+    for seeds in ({v.name: 7.0 for v in fmu.variables.values() if v.causality == "input"}, inputs):
+        sought, known = (np.array([fmu.variables[n].reference for n in names], np.uint32) for names in (outputs, seeds))
+        places = sought.ctypes.data, len(sought), known.ctypes.data, len(known)
+        assert function(member["instance"], *places, (c_double * len(seeds))(*seeds.values()), found) == 0
+    one.free(terminate=True)
+    return list(found)
+
+
+def test_directional_derivatives_of_some_elements(fmu_folder: Path, tmp_path: Path) -> None:
+    """Of outputs and inputs in any order, and of parts of their arrays: what FMI 2.0 gives for scalars."""
+    outputs = ("moment[2]", "force[3]", "force[2]", "moment[3]")
+    some = {"attachment.angular_acceleration[3]": 0.5, "attachment.specific_force[3]": -2.0}
+    paths = {fmi: build_fmu(make("tmd"), fmu_folder, fmi=fmi) for fmi in ("2", "3")}
+    of = {fmi: derivative(path, tmp_path / fmi, outputs, some) for fmi, path in paths.items()}
+    assert of["3"] == of["2"]
+    assert of["2"][1] != 0.0
+
+
 def test_a_warning_is_kept(foreign: Path, tmp_path: Path) -> None:
     start = {"fail_at": StartValue(0.46), "how": StartValue(4)}
     system = System("one", (ComponentInstance("relay", foreign, start),))
@@ -239,10 +313,17 @@ def test_what_cannot_be_connected_or_set(foreign: Path, tmp_path: Path, built: A
             simulate(system, settings, tmp_path / str(len(list(tmp_path.iterdir()))))
         return str(failure.value)
 
-    assert "did you mean 'in.Float64[" in refused(System("s", two, (Connection("a", "level", "b", "in.Float64"),)))
+    assert "'in.Float64' is an array in relay.fmu" in refused(
+        System("s", two, (Connection("a", "level", "b", "in.Float64"),))
+    )
     assert "Integer cannot feed Boolean" in refused(System("s", two, (Connection("a", "out.Int8", "b", "in.Boolean"),)))
     length = {"length": StartValue(3)}
     assert "length = 3: is structuralParameter" in refused(System("s", (ComponentInstance("a", foreign, length),)))
-    small = {"in.Int8[1]": StartValue(128)}
-    assert "a value does not fit the type Int8" in refused(System("s", (ComponentInstance("a", foreign, small),)))
+    for kind, value, words in (
+        ("Int8", 128, "128, of value reference 2, does not fit the type Int8"),
+        ("Float32", 1e39, "1e+39, of value reference 1, does not fit the type Float32"),
+        ("Int64", 2**53 + 1, "has more than 53 bits"),
+    ):
+        large = {f"in.{kind}[1]": StartValue(value)}
+        assert words in refused(System("s", (ComponentInstance("a", foreign, large),)))
     assert "tick" not in read_fmu(foreign).variables

@@ -21,7 +21,7 @@ CAUSES = (
     "", "fmi2Set of an input", "fmi2SetRealInputDerivatives", "fmi2DoStep", "fmi2Get of an output", "value",
     "fmi2GetFMUstate", "fmi2SetFMUstate", "fmi2GetDirectionalDerivative",
 )  # fmt: skip
-SLOPE_FAILED, NOT_FINITE, NOT_CONVERGED, LOOP_OPEN = 2, 5, 9, 10
+SET_FAILED, SLOPE_FAILED, NOT_FINITE, NOT_CONVERGED, LOOP_OPEN = 1, 2, 5, 9, 10
 STATUS = ("fmi2OK", "fmi2Warning", "fmi2Discard", "fmi2Error", "fmi2Fatal", "fmi2Pending")
 WARNING, FATAL = STATUS.index("fmi2Warning"), STATUS.index("fmi2Fatal")
 LOG_LINES = 8  # as in kernel.h
@@ -54,7 +54,7 @@ class Log(Structure):
         return [(self.status[i], self.text[i].value.decode(errors="replace").strip()) for i in slots]
 
 
-# FMI functions by the names of kernel.h; the last five may be missing.
+# FMI functions by the names of kernel.h; the last five may be missing, and those of integers where they pass as reals.
 FUNCTIONS = {
     "set_real": "fmi2SetReal",
     "set_integer": "fmi2SetInteger",

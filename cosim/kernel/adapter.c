@@ -5,13 +5,14 @@
  */
 #include "adapter.h"
 
+#include <float.h>
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
 
 /* Types by their names in FMI 3.0, with the least and the largest value that a double may be to fit them. */
 #define NUMERIC_TYPES(X)                                                                                              \
-    X(Float64, -HUGE_VAL, HUGE_VAL) X(Float32, -HUGE_VAL, HUGE_VAL) X(Int8, INT8_MIN, INT8_MAX)                        \
+    X(Float64, -HUGE_VAL, HUGE_VAL) X(Float32, -FLT_MAX, FLT_MAX)   X(Int8, INT8_MIN, INT8_MAX)                        \
     X(UInt8, 0.0, UINT8_MAX) X(Int16, INT16_MIN, INT16_MAX) X(UInt16, 0.0, UINT16_MAX) X(Int32, INT32_MIN, INT32_MAX)  \
     X(UInt32, 0.0, UINT32_MAX) X(Int64, -9.2e18, 9.2e18) X(UInt64, 0.0, 1.8e19) X(Boolean, 0.0, 1.0)
 
@@ -20,6 +21,14 @@ enum { NUMERIC_TYPES(NUMBER) };
 #undef NUMBER
 
 static void note(Adapter *a, fmi3Status status, const char *text) { keep_message(a->log, (int32_t)status, text); }
+
+static fmi3Status unfit(Adapter *a, const Array *array, double value, const char *what)
+{
+    char text[160];
+    snprintf(text, sizeof text, "%.15g, of value reference %u, %s", value, (unsigned)array->reference, what);
+    note(a, fmi3Error, text);
+    return fmi3Error;
+}
 
 /* One call for the `n` references gathered in `references`, which have `total` values, in `chosen` order. */
 #define ACCESS(NAME, LOW, HIGH)                                                                                       \
@@ -40,10 +49,7 @@ static void note(Adapter *a, fmi3Status status, const char *text) { keep_message
             const Array *array = a->arrays + a->chosen[i];                                                            \
             for (int32_t e = 0; e < array->size; ++e) {                                                               \
                 const double v = a->values[array->first + e];                                                         \
-                if (v < (LOW) || v > (HIGH)) {                                                                        \
-                    note(a, fmi3Error, "a value does not fit the type " #NAME);                                       \
-                    return fmi3Error;                                                                                 \
-                }                                                                                                     \
+                if (v < (LOW) || v > (HIGH)) return unfit(a, array, v, "does not fit the type " #NAME);               \
                 typed[at++] = (fmi3##NAME)v;                                                                          \
             }                                                                                                         \
         }                                                                                                             \
@@ -111,26 +117,11 @@ static fmi2Status access(Adapter *a, access_function *const *functions, size_t c
         for (size_t i = 0; i < n; ++i) a->values[r[i]] = (double)v[i];                                                \
         return access(a, setters, list_arrays(a, r, n));                                                              \
     }
+/* Integers pass as reals: they may have more than the 32 bits of FMI 2.0. */
 GET(get_real, fmi2Real)
 GET(get_boolean, fmi2Boolean)
 SET(set_real, fmi2Real)
-SET(set_integer, fmi2Integer)
 SET(set_boolean, fmi2Boolean)
-
-EXPORT fmi2Status adapter_get_integer(fmi2Component c, const fmi2ValueReference r[], size_t n, fmi2Integer v[])
-{
-    Adapter *a = c;
-    const fmi2Status s = access(a, getters, list_arrays(a, r, n));
-    for (size_t i = 0; i < n && s <= fmi2Warning; ++i) {
-        const double value = a->values[r[i]];
-        if (value < INT32_MIN || value > INT32_MAX) {
-            note(a, fmi3Error, "an integer of more than 32 bits cannot be passed on");
-            return fmi2Error;
-        }
-        v[i] = (fmi2Integer)value;
-    }
-    return s;
-}
 
 /* Of orders 1 and 2, for the next step; those of order 1 come first. */
 EXPORT fmi2Status adapter_set_slopes(fmi2Component c, const fmi2ValueReference r[], size_t n, const fmi2Integer orders[],

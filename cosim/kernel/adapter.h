@@ -15,7 +15,7 @@ typedef struct {
 typedef struct {
     fmi3Instance fmu;
     Log *log;
-    void *get[N_NUMERIC], *set[N_NUMERIC]; /* the FMU's functions, by type; NULL where it lacks one */
+    void *get[N_NUMERIC], *set[N_NUMERIC]; /* the FMU's functions, by type; NULL where it has none of it */
     fmi3DoStepTYPE *do_step;
     fmi3GetFMUStateTYPE *get_state;
     fmi3SetFMUStateTYPE *set_state;

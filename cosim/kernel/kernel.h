@@ -42,7 +42,7 @@ typedef struct {
     fmi2GetIntegerTYPE *get_integer;
     fmi2GetBooleanTYPE *get_boolean;
     fmi2DoStepTYPE *do_step;
-    /* NULL where the FMU does not offer them */
+    /* of integers NULL where they pass as reals (FMI 3.0); the following NULL where the FMU does not offer them */
     fmi2SetRealInputDerivativesTYPE *set_slopes; /* without: it holds its inputs over a step */
     fmi2GetFMUstateTYPE *get_state;
     fmi2SetFMUstateTYPE *set_state;

@@ -31,13 +31,20 @@ int set_member(Plan *p, int32_t member)
     for (int type = INTEGERS; type <= BOOLEANS; ++type) {
         const int32_t n = m->inputs[type];
         if (n == 0) continue;
+        const int wide = type == INTEGERS && !m->set_integer;
         for (int32_t i = 0; i < n; ++i) {
-            const double v = p->value[first + i];
-            p->integers[i] = type == BOOLEANS ? v != 0.0 : (int32_t)lround(v);
+            const double given = p->value[first + i], v = type == BOOLEANS ? given != 0.0 : round(given);
+            p->value[first + i] = v;
+            if (!wide && !(fabs(v) <= INT32_MAX)) {
+                p->failed_number = v;
+                return fail(p, member, SET_FAILED, first + i, fmi2Error);
+            }
+            if (!wide) p->integers[i] = (int32_t)v;
         }
         const uint32_t *references = p->input_reference + first;
-        fmi2Status s = type == INTEGERS ? m->set_integer(m->instance, references, (size_t)n, p->integers)
-                                       : m->set_boolean(m->instance, references, (size_t)n, p->integers);
+        fmi2Status s = wide               ? m->set_real(m->instance, references, (size_t)n, p->value + first)
+                       : type == INTEGERS ? m->set_integer(m->instance, references, (size_t)n, p->integers)
+                                          : m->set_boolean(m->instance, references, (size_t)n, p->integers);
         if (bad(s)) return fail(p, member, SET_FAILED, -1, s);
         first += n;
     }
@@ -52,11 +59,12 @@ int read_member(Plan *p, int32_t member, double *y)
         const int32_t n = m->reads[type];
         if (n == 0) continue;
         const uint32_t *references = p->read_reference + first;
-        fmi2Status s = type == REALS      ? m->get_real(m->instance, references, (size_t)n, y + first)
+        const int real = type == REALS || (type == INTEGERS && !m->get_integer);
+        fmi2Status s = real               ? m->get_real(m->instance, references, (size_t)n, y + first)
                        : type == INTEGERS ? m->get_integer(m->instance, references, (size_t)n, p->integers)
-                                         : m->get_boolean(m->instance, references, (size_t)n, p->integers);
+                                          : m->get_boolean(m->instance, references, (size_t)n, p->integers);
         if (bad(s)) return fail(p, member, GET_FAILED, -1, s);
-        for (int32_t i = 0; type != REALS && i < n; ++i) y[first + i] = (double)p->integers[i];
+        for (int32_t i = 0; !real && i < n; ++i) y[first + i] = (double)p->integers[i];
         first += n;
     }
     return 1;
