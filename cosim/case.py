@@ -103,7 +103,8 @@ def case_folder() -> Path:
 
 
 def read_case(name: str) -> LoadCase:
-    """Read a load case by its name, or from the path of a TOML file.
+    """Read a load case by its name, or from the path of a TOML file; files that it names lie beside it, or come from
+    the package.
 
     Raises:
         CosimError: no such case, or the file is malformed.
@@ -125,14 +126,14 @@ def read_case(name: str) -> LoadCase:
                     w.take("parameter", str), w.take("mean_speed", float), w.take("turbulence_class", str, "B"),
                     w.take("width", float, Wind.width),
                 )  # fmt: skip
-        dampers = read_dampers(path.parent / top.take("dampers", str, _dampers_of(table)))
+        dampers = read_dampers(_file(path, top.take("dampers", str, _dampers_of(table))))
         if not (stop > 0.0 and step > 0.0 and 0.0 <= transient < stop and record_every >= 1):
             raise CosimError(f"{path}: [run] needs stop > transient >= 0, step > 0 and record_every >= 1")
         return LoadCase(
             file=path,
             description=top.take("description", str),
-            system=path.parent / top.take("system", str),
-            channels=path.parent / top.take("channels", str),
+            system=_file(path, top.take("system", str)),
+            channels=_file(path, top.take("channels", str)),
             dampers=dampers,
             damper=top.take("damper", str, "none"),
             without=top.texts("without"),
@@ -164,10 +165,10 @@ def read_dampers(path: Path) -> dict[str, Damper]:
                 name=name,
                 description=r.take("description", str, ""),
                 components=r.texts("components"),
-                parameters=path.parent / file if file else None,
+                parameters=_file(path, file) if file else None,
                 prefix=r.take("prefix", str, ""),
                 values=r.values("values"),
-                system=path.parent / own if own else None,
+                system=_file(path, own) if own else None,
                 fmus=r.values("fmus"),
             )
     optional = tuple(dict.fromkeys(c for d in dampers.values() for c in d.components))
@@ -194,6 +195,12 @@ def qualified(values: Mapping[str, StartValue], damper: Damper, system: System) 
     left_out = tuple(f"{c}." for c in damper.optional if f"{c}." not in names)
     kept = {n: v for n, v in values.items() if not n.startswith(left_out)}
     return {n if n.startswith(names) else damper.prefix + n: v for n, v in kept.items()}
+
+
+def _file(path: Path, name: str) -> Path:
+    """A file that another names: beside it, else the package's own of that name."""
+    beside, shipped = path.parent / name, case_folder() / name
+    return shipped if shipped.is_file() and not beside.is_file() else beside
 
 
 def _dampers_of(table: Mapping[str, Any]) -> str:

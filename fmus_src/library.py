@@ -207,7 +207,8 @@ def _convert(name: str, option: str, text: str, hint: Any) -> Any:
                 return kind(text)
             except ValueError:
                 continue
-    wanted = " or ".join(kind.__name__ for kind in kinds if kind in (bool, int, float))
+    words = {bool: "true or false", int: "whole number", float: "number"}
+    wanted = " or ".join(dict.fromkeys(words[kind] for kind in kinds if kind in words))
     raise ValueError(
         f"{name}: option {option}='{text}' " + (f"is no {wanted}" if wanted else "cannot be given as text")
     )

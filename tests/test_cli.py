@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from cosim.case import read_case
+from cosim.case import case_folder, read_case
 from cosim.errors import CosimError
 from fmus_src.component import Component
 from fmus_src.tmd.model import declare_unit
@@ -188,6 +188,18 @@ def test_a_mistake_in_a_load_case_gets_one_line(tmp_path: Path, line: str, messa
         read_case(str(path))
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_copy_of_a_case_runs_from_any_folder(tmp_path: Path) -> None:
+    """What it names is the package's, unless a file of that name lies beside it."""
+    text = (case_folder() / "lc4.toml").read_text(encoding="utf-8")
+    path = _text_file(tmp_path, "my own.toml", text)
+    copy, shipped = read_case(str(path)), read_case("lc4")
+    assert (copy.system, copy.channels, copy.dampers) == (shipped.system, shipped.channels, shipped.dampers)
+    own = Path(_text_file(tmp_path, "channels.toml", ""))
+    _text_file(tmp_path, "dampers.toml", '[mine]\nparameters = "mtmd.ssv"\n')
+    copy = read_case(str(path))
+    assert (copy.channels, copy.dampers["mine"].parameters) == (own, case_folder() / "mtmd.ssv")
 
 
 def test_names_of_parameters_need_no_quotes(tmp_path: Path) -> None:

@@ -121,6 +121,26 @@ def test_foreign_names_in_a_campaign(
     assert "c[1][red]: runs.parquet" in printed
 
 
+def test_a_narrow_terminal_folds_the_figures_of_a_campaign_and_cuts_no_name(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Two seeds give wide intervals: cut short, tmd-n and tmd-p would be one."""
+    monkeypatch.setenv("COLUMNS", "80")
+    rows = [
+        {"case": "decay10", "damper": d, "seed": s, "channel": c, "unit": "m", "std": 1.0 + s * share, "stroke": share}
+        for c in ("PtfmPitch", "TTDspFA", "TwrBsMyt", "RootMyc1", "GenPwr")
+        for s in (1, 2)
+        for d, share in (("none", 0.0), ("tmd-n", 20.0), ("tmd-p", 21.0))
+    ]
+    found = Campaign(tmp_path / "c", {"cases": {"decay10": {}}}, write_table(rows, tmp_path / "runs.parquet"))
+    show(found, evaluate_all(found))
+    lines = capsys.readouterr().out.split("\nis the first better")[0].splitlines()
+    names = [word for line in lines for word in line.split() if re.match("decay|tmd", word)]
+    assert names == ["decay10", "tmd-n", "tmd-p"]
+    assert not any("…" in line for line in lines)
+    assert max(map(len, lines)) <= 80
+
+
 def test_foreign_names_beside_progress_bars(monkeypatch: pytest.MonkeyPatch) -> None:
     written = io.StringIO()
     screen = Console(file=written, force_terminal=True, markup=False, emoji=False, width=200, color_system=None)

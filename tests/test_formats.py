@@ -221,7 +221,9 @@ def test_a_full_disk_leaves_the_former_file(run: Path, name: str) -> None:
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     try:
         resource.setrlimit(resource.RLIMIT_FSIZE, (1024, hard))
-        with pytest.raises(CosimError, match=rf"results\.{name}: writing failed: .*; free space or choose another"):
+        with pytest.raises(
+            CosimError, match=rf"results\.{name}: writing failed: .*; choose another folder, or free space"
+        ):
             convert(run, [name])
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))

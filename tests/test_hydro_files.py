@@ -471,5 +471,5 @@ def test_options_make_another_fmu_that_says_what_it_is(tmp_path: Path) -> None:
     assert make("hydro", options).description.split("sha256")[1] != text.split("sha256")[1]
     with pytest.raises(ValueError, match="no option 'seas'; its options are database, sea, "):
         make("hydro", {"seas": "x"})
-    with pytest.raises(ValueError, match="option draft='deep' is no float"):
+    with pytest.raises(ValueError, match="option draft='deep' is no number"):
         make("hydro", {"draft": "deep"})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -116,7 +117,7 @@ def carried_out(
     except KeyboardInterrupt:
         way = "the same command begins again"
         if (root / PLAN).exists():
-            way = f"go on with: fowt campaign --resume {root}"
+            way = f"go on with: fowt campaign --resume {shlex.quote(str(root))}"
         raise Interrupted(f"stopped by the user; what has finished is kept, {way}") from None
 
 

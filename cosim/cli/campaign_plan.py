@@ -80,8 +80,9 @@ def made_plan(
         options: of this command. tasks: all runs, those of earlier commands too. commands: that these came from.
     """
     by_case = {t.about["case"]: t.job.settings for t in tasks}
+    folder = shlex.quote(root.name)
     return {
-        "command": commands[0] if len(commands) == 1 else " && ".join(f"{c} --out {root.name}" for c in commands),
+        "command": commands[0] if len(commands) == 1 else " && ".join(f"{c} --out {folder}" for c in commands),
         "commands": list(commands),
         "started": datetime.now(UTC).isoformat(timespec="seconds"),
         "options": asdict(options) | {"ssv_sha256": _ssv_digests(options)},

@@ -112,20 +112,30 @@ def show(campaign: Campaign, tables: Mapping[str, pd.DataFrame]) -> None:
         out.print("reduction of damage-equivalent loads, %")
         out.print(_wide(fatigue[fatigue["reduction"].notna()], "reduction"))
     if len(tables["dampers"]):
+        out.print("damper travel")
         out.print(_travel(tables["dampers"]))
     if len(tables["paper"]):
+        out.print("beside the paper")
         out.print(_paper(tables["paper"]))
     if len(rates) and rates["seeds"].max() > 1:
         out.print("± : half of the 95 % confidence interval (Student's t over seeds, paired)", soft_wrap=True)
     out.print(f"{campaign.folder}: runs.parquet, {', '.join(f'{n}.csv' for n in tables)}", soft_wrap=True)
 
 
+def _table(*names: str) -> Table:
+    """A table whose first columns name a row: in a narrow terminal figures are folded, names never cut."""
+    view = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    for name in names:
+        view.add_column(name, no_wrap=True)
+    return view
+
+
 def _wide(table: pd.DataFrame, value: str) -> Table:
     """A row for each case and arrangement, a column for each channel."""
     channels = list(dict.fromkeys(table["channel"]))
-    view = Table("case", "damper", box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    view = _table("case", "damper")
     for channel in channels:
-        view.add_column(channel, justify="right", no_wrap=True)
+        view.add_column(channel, justify="right")
     before = ""
     for (case, damper), part in table.groupby(["case", "damper"], sort=False):
         found = part.set_index("channel")
@@ -138,7 +148,9 @@ def _wide(table: pd.DataFrame, value: str) -> Table:
 def _ranking(table: pd.DataFrame) -> Table:
     """Whether each arrangement is better than the next, with the confidence that it is."""
     cases = list(dict.fromkeys(table["case"]))
-    view = Table("order", "channel", *cases, box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    view = _table("order", "channel")
+    for case in cases:
+        view.add_column(case)
     before: Any = ""
     for (better, worse, channel), part in table.groupby(["better", "worse", "channel"], sort=False):
         found = part.set_index("case")
@@ -156,7 +168,7 @@ def _verdict(row: pd.Series) -> str:
 
 
 def _travel(table: pd.DataFrame) -> Table:
-    view = Table("damper travel", "", "", box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    view = _table("case", "damper", "channel")
     for column in ("mean, m", "largest, m", "stop hits", "most"):
         view.add_column(column, justify="right")
     for row in table.itertuples():
@@ -168,9 +180,9 @@ def _travel(table: pd.DataFrame) -> Table:
 
 
 def _paper(table: pd.DataFrame) -> Table:
-    view = Table("beside the paper", "", "", "", box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    view = _table("case", "damper", "channel", "")
     for column in ("paper", "ours"):
-        view.add_column(column, justify="right")
+        view.add_column(column, justify="right", no_wrap=True)
     for row in table.itertuples():
         what = "suppression" if row.quantity == "suppression" else "RMS"
         says = "" if row.says == "about" else f"{row.says} "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -33,7 +34,7 @@ def resumable(folder: Path) -> Iterator[None]:
             record = read_checkpoint(folder / CHECKPOINT)[1]
             done = [float(v[0]) for values in record.values for v in values if math.isfinite(v[0])]
             best = f", best until then {min(done):.4f}" if done else ""
-            message = f"interrupted{best}; continue with: fowt optimise --resume {folder}"
+            message = f"interrupted{best}; continue with: fowt optimise --resume {shlex.quote(str(folder))}"
         else:
             message = "interrupted before the first generation was complete"
         raise Interrupted(message) from None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -78,7 +79,7 @@ def export(
         emit({"file": str(written), "ssp": version, "size": size, "sha256": sha256(written), "components": names})
         return
     out.print(f"{written}  (SSP {version}, {size / 1e6:.1f} MB: {', '.join(names)})", soft_wrap=True)
-    out.print(f"run it with 'fowt run {written}'", soft_wrap=True)
+    out.print(f"run it with: fowt run {shlex.quote(str(written))}", soft_wrap=True)
 
 
 def prepare_package(ssp: Path, damper: str | None, changes: Changes, folder: Path) -> Prepared:

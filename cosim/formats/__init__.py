@@ -66,7 +66,7 @@ def convert(folder: Path, formats: Sequence[str], target: Path | None = None) ->
             raise CosimError(f"{path}: {error}") from error
         except OSError as error:
             raise CosimError(
-                f"{path}: writing failed: {error.strerror or error}; free space or choose another"
+                f"{path}: writing failed: {error.strerror or error}; choose another folder, or free space"
             ) from error
         finally:
             with suppress(OSError):  # the error itself is what matters

@@ -73,7 +73,9 @@ def open_history(folder: Path) -> History:
         rows = sum(pq.read_metadata(path).num_rows for path in files)
         units = json.loads(schema.metadata[b"units"])
     except (OSError, pa.ArrowException, KeyError, TypeError, ValueError) as error:
-        raise CosimError(f"{folder}: no readable results ({_line(error)}); give the folder of a run") from error
+        raise CosimError(
+            f"{folder}: no readable results ({_line(error)}); repeat the run, or give the folder of another"
+        ) from error
     if "Time" not in schema.names:
         raise CosimError(f"{folder}: its results have no column 'Time'; give the folder of a run")
     if not rows:

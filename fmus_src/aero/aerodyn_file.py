@@ -309,9 +309,11 @@ def _chosen(
     if reynolds is None and user_property is None:
         if wanted is None:
             return tables[0].polar
+        ends = (tables[0], tables[-1])
+        low, high = (1e6 * t.reynolds if wanted == "reynolds" else t.user_property for t in ends)
         raise ValueError(
             f"aero: {shown(path)}: AFTabMod {primary.layout.tables}, and {name} has {len(tables)} tables; say where"
-            f" they are to be used (option {wanted})"
+            f" they are to be used (option {wanted}, here {low:g} to {high:g})"
         )
     if reynolds is not None:
         if not 0.0 < reynolds < math.inf:

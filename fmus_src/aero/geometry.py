@@ -196,4 +196,8 @@ def _read(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ValueError(f"aero: {path} cannot be read ({str(error).splitlines()[0]})") from None
+        why = error.strerror if isinstance(error, OSError) else str(error).splitlines()[0]
+        raise ValueError(
+            f"aero: {path} cannot be read ({why}); a rotor's folder has blade.toml and sections.toml; of AeroDyn give"
+            " the primary file"
+        ) from None
