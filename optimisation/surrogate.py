@@ -25,12 +25,26 @@ Array = npt.NDArray[np.float64]
 
 # hyperparameters' bounds: variance of the standardised values and of their noise, length scales of the range
 VARIANCE, NOISE, LENGTH = (1e-2, 1e3), (1e-8, 0.1), (0.05, 20.0)
-POOL = 1024  # random points among which the next design is sought, and as many around the best ones
 JITTER = 1e-8  # of the process' variance, which keeps matrices regular
 SAMPLES = 128  # of the joint posterior
-REFINEMENTS: tuple[float, ...] = (0.05, 0.02, 0.005, 0.001)  # of the range
 NEGLIGIBLE = 1e-4  # expected improvement, of the spread of the designs' fitness
 WIDE = 5.0  # ratio of the bounds from which a variable is scaled by its square root, as frequencies go with stiffness
+
+
+@dataclass(frozen=True)
+class Effort:
+    """Points among which the next design is sought: so many in the whole range, so many around the best designs; then,
+    for each width (of the range), the best `kept` of them and `children` around each."""
+
+    pool: int
+    around: int
+    kept: int
+    children: int
+    widths: tuple[float, ...]
+
+
+EFFORT = Effort(1024, 1024, 8, 32, (0.05, 0.02, 0.005, 0.001))
+GUIDED = Effort(128, 32, 4, 8, (0.05, 0.01))  # a cheap model is cheap beside a simulation only
 
 
 class Process:
@@ -171,7 +185,8 @@ class Surrogate:
         self.library = f"scipy {scipy.__version__}"
         self._lower, self._upper, self._batch, self._seed = lower, upper, batch, seed
         self._starts = np.empty((0, lower.size)) if starts is None else np.asarray(starts, dtype=float)
-        self._initial, self._prior = initial, prior
+        self._initial, self._prior = initial, None if prior is None else Remembered(prior)
+        self._effort = EFFORT if prior is None else GUIDED
         self._limit = float("inf") if limit is None else limit
         self._fitness = fitness or (lambda responses: responses[:, 0])
         # a quantity of wide range that cannot be negative
@@ -254,20 +269,24 @@ class Surrogate:
         negligible = NEGLIGIBLE * float(self._values[usable, 0].std())
         order = np.argsort(np.where(usable, self._values[:, 0], np.inf), kind="stable")
         best = self._encoded(self._x[order[: max(1, min(4, int(usable.sum())))]])
-        chosen: list[Array] = []
+        effort, chosen = self._effort, list[Array]()
+        # with a cheap model always the same points: it need not be asked again
+        pool_rng = rng if self._prior is None else np.random.default_rng(self._seed)
+        pool = qmc.Sobol(best.shape[1], scramble=True, seed=pool_rng).random(effort.pool)
         for _ in range(count):
             least = float(self._fitness(model.predict(self._decoded(seen))[0]).min())
-            sobol = qmc.Sobol(best.shape[1], scramble=True, seed=rng).random(POOL)
-            around = best[rng.integers(len(best), size=POOL)] + 0.1 * rng.standard_normal((POOL, best.shape[1]))
-            z = np.vstack([sobol, np.clip(around, 0.0, 1.0)])
+            n = effort.around
+            around = best[rng.integers(len(best), size=n)] + 0.1 * rng.standard_normal((n, best.shape[1]))
+            z = np.vstack([pool, np.clip(around, 0.0, 1.0)])
             gain = improvement(z)
             if gain.max() < negligible:  # the processes may be too sure of themselves: look where they know least
-                gain, widths = model.ignorance(z), REFINEMENTS[:0]
+                gain, widths = model.ignorance(z), effort.widths[:0]
             else:
-                widths = REFINEMENTS
+                widths = effort.widths
             for width in widths:
-                kept = z[np.argsort(-gain, kind="stable")[:8]]
-                near = np.repeat(kept, 32, axis=0) + width * rng.standard_normal((32 * len(kept), z.shape[1]))
+                kept = z[np.argsort(-gain, kind="stable")[: effort.kept]]
+                near = np.repeat(kept, effort.children, axis=0)
+                near = near + width * rng.standard_normal(near.shape)
                 z = np.vstack([kept, np.clip(near, 0.0, 1.0)])
                 gain = improvement(z)
             chosen.append(z[int(np.argmax(gain))])
@@ -295,6 +314,21 @@ class Surrogate:
             self._wide, (low + (high - low) * z) ** 2, self._lower + (self._upper - self._lower) * z
         )  # fmt: skip
         return np.clip(x, self._lower, self._upper)
+
+
+class Remembered:
+    """A function of designs, shape (n, variables) -> (n, values), that is asked once for each design."""
+
+    def __init__(self, function: Callable[[Array], Array]) -> None:
+        self._function = function
+        self._known: dict[bytes, Array] = {}
+
+    def __call__(self, x: Array) -> Array:
+        keys = [row.tobytes() for row in np.ascontiguousarray(x)]
+        new = [i for i, key in enumerate(keys) if key not in self._known]
+        if new:
+            self._known |= dict(zip((keys[i] for i in new), self._function(x[new]), strict=True))
+        return np.array([self._known[key] for key in keys])
 
 
 class _Model:
