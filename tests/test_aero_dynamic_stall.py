@@ -11,7 +11,8 @@ from scipy.special import hankel2
 
 from fmus_src.aero import dynamic_stall as stall
 from fmus_src.aero.dynamic_stall import Aerofoil, Attached, Separated, attached_flow, separated_flow
-from fmus_src.aero.geometry import DRAG, LIFT, aerofoil_constants, rotor, section_tables
+from fmus_src.aero.geometry import aerofoil_constants, rotor, section_tables
+from fmus_src.aero.polars import DRAG, LIFT
 from fmus_src.aero.stations import Layout
 
 OUTER = 15  # a station of NACA 64-618, 2.3 m chord

@@ -13,9 +13,10 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from fmus_src.aero import kinematics as kin
-from fmus_src.aero.geometry import LIFT, rotor, section_tables
+from fmus_src.aero.geometry import rotor, section_tables
 from fmus_src.aero.loads import blade_load
 from fmus_src.aero.momentum import OYE_K, oye_time_constant, prandtl_factor
+from fmus_src.aero.polars import LIFT
 from fmus_src.aero.sections import STATION_FLOW
 from fmus_src.aero.turbsim_file import WindBox, write_box
 from fmus_src.barge.blade import blade_structure, mode_shapes

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from fmus_src.aero.geometry import DRAG, LIFT, LIFT_SLOPE, rotor, section_tables
+from fmus_src.aero.geometry import rotor, section_tables
 from fmus_src.aero.momentum import (
     OYE_K,
     SKEW_CONSTANT,
@@ -21,6 +21,7 @@ from fmus_src.aero.momentum import (
     prandtl_factor,
     skew_factor,
 )
+from fmus_src.aero.polars import DRAG, LIFT, LIFT_SLOPE
 
 
 def value(expression: object) -> float:

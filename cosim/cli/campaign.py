@@ -51,6 +51,7 @@ from optimisation.campaign.runs import (
 )
 
 TABLES = ("suppression", "ranking", "fatigue", "extremes", "dampers", "power", "paper")
+SHOWN = 4  # names of runs in a message
 OWN = (PLAN, TABLE, *(f"{name}.csv" for name in TABLES), f"{PLAN[:-5]}.part", f"{TABLE}.partial")
 
 
@@ -172,6 +173,7 @@ def _kept(
 ) -> list[tuple[LoadCase, Task]]:
     """Finished runs of earlier commands that this one does not name; told of where they can no longer be used."""
     found: list[tuple[LoadCase, Task]] = []
+    useless: dict[str, list[str]] = {}
     again = {t.label for t in tasks}
     left = {label: run for label, run in earlier.runs.items() if label not in again}
     there = {label: run for label, run in left.items() if (root / RUNS / label).exists()}
@@ -185,10 +187,15 @@ def _kept(
             why = results_differ(root / RUNS / label, task.key)
         except CosimError as error:
             why = str(error)
+        except KeyError:
+            why = f"campaign.json has no load case '{name}'"
         if why:
-            warn(f"{label}: {why}; it is left out of the tables: name it to have it run again")
+            useless.setdefault(why, []).append(label)
         else:
             found.append((case, task))
+    for why, labels in useless.items():
+        more = f", ... ({len(labels)} runs)" if len(labels) > SHOWN else ""
+        warn(f"{', '.join(labels[:SHOWN])}{more}: {why}; left out of the tables: name them to have them run again")
     return found
 
 

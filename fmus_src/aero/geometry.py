@@ -12,19 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from fmus_src.aero.polars import CYLINDER, DRAG, LIFT, LIFT_SLOPE, MOMENT, Polar, StallConstants, tabulated
-
-__all__ = [
-    "DRAG",
-    "LIFT",
-    "LIFT_SLOPE",
-    "MOMENT",
-    "Rotor",
-    "aerofoil_constants",
-    "read_rotor",
-    "rotor",
-    "section_tables",
-]
+from fmus_src.aero.polars import CYLINDER, Polar, StallConstants, tabulated
 
 Array = npt.NDArray[np.float64]
 
