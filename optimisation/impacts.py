@@ -48,7 +48,7 @@ def with_impacts(model: LinearModel, free: Complex, stiffness: Array, damping: A
     if np.all(stops.stroke >= FAR):
         return free
     whole = model.step * model.length
-    count = max(2, round(whole / INSTANT))
+    count = scipy.fft.next_fast_len(max(2, round(whole / INSTANT)), real=True)
     step = whole / count
     time = step * np.arange(min(count, int(model.stop / step) + 1))
     fading = np.exp(model.p[0].real * time)
@@ -62,7 +62,7 @@ def with_impacts(model: LinearModel, free: Complex, stiffness: Array, damping: A
         return free
     position, speed = _impulse_responses(model, stiffness, damping, count, min(len(time), round(MEMORY / step)))
     _march(s, v, step * position, step * speed, stops)
-    faded = np.fft.rfft(s / fading, count, axis=-1)[:, : len(model.p)]
+    faded = scipy.fft.rfft(s / fading, count, axis=-1)[:, : len(model.p)]
     return np.asarray(faded * (model.length / count))
 
 
