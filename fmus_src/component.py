@@ -41,7 +41,7 @@ import numpy.typing as npt
 
 from fmus_src.lookups import FieldLookup, ImplicitLookup, Lookup, StoredLookup, SwitchLookup, TableLookup
 from fmus_src.units import unit as resolve_unit
-from fmus_src.variable import Causality, Kind, Variable
+from fmus_src.variable import Causality, Kind, Variable, shape_of, shaped, size_of
 
 Array = npt.NDArray[np.float64]
 
@@ -154,9 +154,9 @@ class Component:
         internal: bool = False,
     ) -> Any:
         """Declare a value that depends on parameters only and is evaluated once, at initialisation."""
-        shape = _shape_of(expression)
+        shape = shape_of(expression)
         variable = Variable(
-            name, "calculated", description, unit, shape=shape, start=(0.0,) * _size(shape), nominal=nominal,
+            name, "calculated", description, unit, shape=shape, start=(0.0,) * size_of(shape), nominal=nominal,
             internal=internal,
         )  # fmt: skip
         self.groups["calculated"].expressions.append(self._flat(expression))
@@ -221,9 +221,9 @@ class Component:
         nominal: float | None = None,
     ) -> None:
         """Declare an output by its expression."""
-        shape = _shape_of(expression)
+        shape = shape_of(expression)
         variable = Variable(
-            name, "output", description, unit, shape=shape, start=(0.0,) * _size(shape),
+            name, "output", description, unit, shape=shape, start=(0.0,) * size_of(shape),
             display_unit=display_unit, nominal=nominal,
         )  # fmt: skip
         self.groups["output"].expressions.append(self._flat(expression))
@@ -327,9 +327,9 @@ class Component:
             raise ValueError(f"{self.name}: lookup '{lookup.name}' is declared twice")
         self.lookups.append(lookup)
         self.lookup_arguments.append(arguments)
-        symbol = self.sym.sym(lookup.name, _size(shape))
+        symbol = self.sym.sym(lookup.name, size_of(shape))
         self.lookup_symbols.append(symbol)
-        return _shaped(symbol, shape)
+        return shaped(symbol, shape)
 
     def _reserve(self, name: str) -> None:
         if not _NAME.fullmatch(name):
@@ -351,7 +351,7 @@ class Component:
         symbol = self.sym.sym(variable.name, variable.size)
         group.variables.append(variable)
         group.symbols.append(symbol)
-        return _shaped(symbol, variable.shape)
+        return shaped(symbol, variable.shape)
 
     def _with_start(
         self,
@@ -388,7 +388,7 @@ class Component:
     def _set_rate(self, causality: Causality, state: Any, expression: Any) -> None:
         group = self.groups[causality]
         for variable, symbol in zip(group.variables, group.symbols, strict=True):
-            own = _shaped(symbol, variable.shape)
+            own = shaped(symbol, variable.shape)
             if own.shape == state.shape and ca.is_equal(own, state, 2):
                 flat = self._flat(expression)
                 if flat.numel() != variable.size:
@@ -414,19 +414,3 @@ class Component:
         """An expression as a dense column, row by row."""
         value = expression if isinstance(expression, (ca.SX, ca.MX)) else self.sym(ca.DM(np.asarray(expression)))
         return ca.densify(ca.vec(value.T))
-
-
-def _size(shape: tuple[int, ...]) -> int:
-    return int(np.prod(shape, dtype=int))
-
-
-def _shape_of(expression: Any) -> tuple[int, ...]:
-    if not hasattr(expression, "shape") or expression.shape in ((), (1, 1)):
-        return ()
-    rows, columns = expression.shape if len(expression.shape) == 2 else (expression.shape[0], 1)
-    return (rows,) if columns == 1 else (rows, columns)
-
-
-def _shaped(flat: Any, shape: tuple[int, ...]) -> Any:
-    """The flat, row-by-row symbol as a column vector or matrix."""
-    return ca.reshape(flat, shape[1], shape[0]).T if len(shape) == 2 else flat

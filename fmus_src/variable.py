@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
+import casadi as ca
 import numpy as np
 
 Kind = Literal["real", "integer", "boolean", "string"]
@@ -45,7 +46,7 @@ class Variable:
 
     @property
     def size(self) -> int:
-        return int(np.prod(self.shape, dtype=int))
+        return size_of(self.shape)
 
     def element_names(self) -> list[str]:
         """Scalar names in storage order: `name`, or `name[1]`..., or `name[1,1]`... row by row."""
@@ -53,3 +54,21 @@ class Variable:
             return [self.name]
         indices = np.ndindex(*self.shape)
         return [f"{self.name}[{','.join(str(i + 1) for i in index)}]" for index in indices]
+
+
+def size_of(shape: tuple[int, ...]) -> int:
+    """Number of elements."""
+    return int(np.prod(shape, dtype=int))
+
+
+def shape_of(expression: Any) -> tuple[int, ...]:
+    """Shape of a CasADi expression or a number as a variable has it: () for one element, (n,) for a column."""
+    if not hasattr(expression, "shape") or expression.shape in ((), (1, 1)):
+        return ()
+    rows, columns = expression.shape if len(expression.shape) == 2 else (expression.shape[0], 1)
+    return (rows,) if columns == 1 else (rows, columns)
+
+
+def shaped(flat: Any, shape: tuple[int, ...]) -> Any:
+    """The flat, row-by-row symbol as a column vector or matrix."""
+    return ca.reshape(flat, shape[1], shape[0]).T if len(shape) == 2 else flat

@@ -22,7 +22,6 @@ from fmus_src.component import Component
 from optimisation.campaign.runs import Campaign, write_table
 
 from .conftest import Outcome
-from .test_isolation import FAULTS, faulty_fmu  # noqa: F401 (a fixture)
 
 
 @pytest.mark.parametrize(
@@ -205,30 +204,3 @@ def test_a_stopped_command_says_so_to_programs_too(
     monkeypatch.setattr("cosim.cli.listing.read_case", stop)
     ended = fowt("list", "--format", "json")
     assert ended == Outcome(130, '{\n  "error": "stopped by the user"\n}\n', "warning: stopped by the user\n")
-
-
-# ---- a component that hangs
-
-
-def test_call_timeout(fowt: Callable[..., Outcome], faulty_fmu: Path, tmp_path: Path) -> None:  # noqa: F811
-    values = {"u": 1.0, "fault": FAULTS.index("hang"), "fault_at": 0.05}
-    words = [w for n, v in values.items() for w in ("--set", f"valve.{n}={v}")]
-    ssp = tmp_path / "valve.ssp"
-    with zipfile.ZipFile(ssp, "w") as package:
-        package.write(faulty_fmu, "resources/faulty.fmu")
-        package.writestr("SystemStructure.ssd", SSD)
-    ended = fowt("run", "valve.ssp", *words, "--isolate", "valve", "--call-timeout", "1", "--format", "json")
-    assert ended.code == 1
-    assert "valve: the process of faulty.fmu did not answer within 1 s at t = 0.05 s" in json.loads(ended.out)["error"]
-    for wrong, message in (
-        (("--call-timeout", "1"), "--call-timeout is for components in processes of their own: add --isolate"),
-        (("--call-timeout", "-1", "--isolate", "valve"), "call timeout -1 s must be positive"),
-    ):
-        assert message in fowt("run", "valve.ssp", *wrong).err
-
-
-SSD = """<?xml version="1.0"?><ssd:SystemStructureDescription
- xmlns:ssd="http://ssp-standard.org/SSP1/SystemStructureDescription" version="1.0" name="valve">
-<ssd:System name="valve"><ssd:Elements><ssd:Component name="valve" source="resources/faulty.fmu"/></ssd:Elements>
-</ssd:System>
-<ssd:DefaultExperiment startTime="0" stopTime="1"/></ssd:SystemStructureDescription>"""

@@ -27,6 +27,7 @@ from cosim.system import ComponentInstance, Connection, StartValue, System
 from fmus_src.component import Component
 from fmus_src.export.compiler import compile_shared
 
+from .conftest import Outcome
 from .cosim_fmus import carried, mass, probe, two_masses
 
 ALL = ("*",)
@@ -240,3 +241,27 @@ native.library().channel_synchronise(i._channel)
             assert select.select([descriptor], [], [], 10.0)[0]  # it looks once a second
         finally:
             os.close(descriptor)
+
+
+def test_call_timeout(fowt: Callable[..., Outcome], faulty_fmu: Path, tmp_path: Path) -> None:
+    values = {"u": 1.0, "fault": FAULTS.index("hang"), "fault_at": 0.05}
+    words = [w for n, v in values.items() for w in ("--set", f"valve.{n}={v}")]
+    ssp = tmp_path / "valve.ssp"
+    with zipfile.ZipFile(ssp, "w") as package:
+        package.write(faulty_fmu, "resources/faulty.fmu")
+        package.writestr("SystemStructure.ssd", SSD)
+    ended = fowt("run", "valve.ssp", *words, "--isolate", "valve", "--call-timeout", "1", "--format", "json")
+    assert ended.code == 1
+    assert "valve: the process of faulty.fmu did not answer within 1 s at t = 0.05 s" in json.loads(ended.out)["error"]
+    for wrong, message in (
+        (("--call-timeout", "1"), "--call-timeout is for components in processes of their own: add --isolate"),
+        (("--call-timeout", "-1", "--isolate", "valve"), "call timeout -1 s must be positive"),
+    ):
+        assert message in fowt("run", "valve.ssp", *wrong).err
+
+
+SSD = """<?xml version="1.0"?><ssd:SystemStructureDescription
+ xmlns:ssd="http://ssp-standard.org/SSP1/SystemStructureDescription" version="1.0" name="valve">
+<ssd:System name="valve"><ssd:Elements><ssd:Component name="valve" source="resources/faulty.fmu"/></ssd:Elements>
+</ssd:System>
+<ssd:DefaultExperiment startTime="0" stopTime="1"/></ssd:SystemStructureDescription>"""
