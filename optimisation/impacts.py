@@ -23,7 +23,9 @@ Array = npt.NDArray[np.float64]
 Complex = npt.NDArray[np.complexfloating[Any, Any]]
 
 INSTANT = 0.05  # s: half of it changes standard deviations by 1e-3, the stops' damping ends a motion in 0.04 s
-MEMORY = 120.0  # s for which an impulse is felt: twice that changes standard deviations by 1e-3
+MEMORY = 120.0  # s for which an impulse is felt at least: twice that changes standard deviations by 1e-3
+DECAYS = 3.0  # time constants of a mass on its own spring and dashpot for which it is felt, if that is longer
+PLAUSIBLE = 10.0  # strokes that a mass may travel, on the softest of stops
 EDGE = 0.2  # share of the band over which what the structure adds to an impulse's response fades out
 FAR = 1e9  # m: stroke without stops
 BLOCK = 4000  # instants looked through at a time
@@ -39,7 +41,9 @@ class Stops:
 
 
 def with_impacts(model: LinearModel, free: Complex, stiffness: Array, damping: Array, stops: Stops) -> Complex:
-    """Transforms of the dampers' displacements with their stops, (D, F).
+    """Transforms of the dampers' displacements with their stops, (D, F); nan if the contacts grow without bound.
+
+    That befalls masses on soft springs that lean on a stop, since the structure's answer is known in a band only.
 
     Args:
         free: transforms without stops, (D, F).
@@ -60,10 +64,22 @@ def with_impacts(model: LinearModel, free: Complex, stiffness: Array, damping: A
     s, v = history(free), history(free * model.p)
     if not np.any(np.abs(s) > stops.stroke[:, None]):
         return free
-    position, speed = _impulse_responses(model, stiffness, damping, count, min(len(time), round(MEMORY / step)))
-    _march(s, v, step * position, step * speed, stops)
+    felt = max(MEMORY, DECAYS / max(_slowest_decay(model.masses, stiffness, damping), 1e-9))
+    memory = min(len(time), round(felt / step))
+    position, speed = _impulse_responses(model, stiffness, damping, count, memory)
+    with np.errstate(over="ignore", invalid="ignore"):  # of contacts that grow
+        _march(s, v, step * position, step * speed, stops)
+    if not np.all(np.abs(s) <= PLAUSIBLE * stops.stroke[:, None]):
+        return np.full_like(free, np.nan)
     faded = scipy.fft.rfft(s / fading, count, axis=-1)[:, : len(model.p)]
     return np.asarray(faded * (model.length / count))
+
+
+def _slowest_decay(mass: Array, stiffness: Array, damping: Array) -> float:
+    """Slowest rate at which the motion of a mass alone dies away, 1/s."""
+    half = damping / (2.0 * mass)
+    root = np.sqrt(np.maximum(half**2 - stiffness / mass, 0.0))
+    return float(np.min(np.where(root > 0.0, stiffness / mass / np.maximum(half + root, 1e-300), half)))
 
 
 def _march(s: Array, v: Array, position: Array, speed: Array, stops: Stops) -> None:

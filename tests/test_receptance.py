@@ -175,6 +175,23 @@ def test_stops_keep_a_damper_as_a_simulation_does(stop: tuple[float, float]) -> 
     assert stopped == pytest.approx(exact, rel=0.01)  # steps of 0.05 s against 0.01 s
 
 
+def test_a_mass_that_leans_on_its_stop() -> None:
+    """A spring of next to nothing and a thick dashpot: what an impulse did is felt for the whole record.
+
+    Pushed by 0.5 m/s2 the mass creeps to its stop and stays there, m a / k_stop = 0.02 m beyond.
+    """
+    m, stroke, slope, hard = 2e4, 1.6, 0.5, 5e5
+    drive = np.where(TIME > 5.0, slope, 0.0)
+    held = LinearModel(
+        "held", (), (), (Damper("d", m, "s", "a"),), *_rigid(drive), np.zeros(0), STEP, 2 * len(TIME), 30.0, END
+    )
+    variables = {"d.k": 0.5, "d.c": 2e4, "d.k_stop": hard, "d.c_stop": hard, "d.stroke": stroke}
+    time, records = SpectralResponse([held], ["d.k"], variables).histories([0.5])
+    resting = records[(time > 0.3 * END) & (time < 0.9 * END), 0]
+    # the band of the record smooths the step of the slope: a hundredth of the travel
+    assert resting == pytest.approx(-(stroke + m * slope / hard), abs=0.02 * stroke)
+
+
 def _rigid(drive: Array) -> tuple[Array, Array, Array]:
     """Line, transform of a given specific force, and no gain: a rail that nothing moves."""
     sigma, length = 3.0 / END, 2 * len(TIME)
