@@ -173,8 +173,8 @@ class Surrogate:
         starts: designs to begin with, shape (n, variables).
         fitness: responses, shape (n, responses) -> fitness, shape (n,).
         prior: a cheap model of the responses, shape (n, variables) -> (n, responses), which the processes correct; it
-            must be positive, as the responses; nan where it has no value, for which the largest that it has at the
-            designs told is taken.
+            must be positive, as the responses. Where it has no value (nan), or a larger one than any response told, the
+            largest told is taken.
     """
 
     def __init__(
@@ -339,7 +339,7 @@ class _Model:
         self._x = x
         self._positive = bool(np.all(responses > 0.0)) and bool(np.isfinite(np.log(responses)).all())
         y = np.log(responses) if self._positive else responses
-        self._lacking = self._largest_prior()
+        self._largest = y.max(axis=0)
         y = y - self._offset(x)
         z = search._encoded(x)
         self._processes = [Process(z, column) for column in y.T]
@@ -375,19 +375,10 @@ class _Model:
     def _response(self, y: Array) -> Array:
         return np.exp(y) if self._positive else y
 
-    def _largest_prior(self) -> Array | None:
-        """Of the logarithms of the cheap model's responses, shape (responses,); -inf where it has none at all."""
-        prior = self._search._prior
-        if prior is None or not self._positive:
-            return None
-        y = np.log(prior(self._x))
-        return np.asarray(np.where(np.isfinite(y), y, -np.inf).max(axis=0))
-
     def _offset(self, x: Array) -> Array | float:
         """What the processes correct, a function of each design alone: the logarithm of the cheap model's responses."""
         prior = self._search._prior
-        if prior is None or self._lacking is None:
+        if prior is None or not self._positive:
             return 0.0
         y = np.log(prior(x))
-        y = np.where(np.isfinite(y), y, self._lacking)
-        return np.where(np.isfinite(self._lacking), y, 0.0)
+        return np.asarray(np.fmin(y, self._largest))

@@ -121,7 +121,8 @@ def test_where_the_cheap_model_has_no_value_a_prediction_is_of_the_design_alone(
     without, (designs, values) = make(fitness=worst), everywhere.population()
     without.recall(designs)
     without.tell(values)
-    np.testing.assert_array_equal(everywhere.predict(x), without.predict(x))
+    # the same but for a constant, which the processes take out: to rounding, amplified by their hyperparameters' fit
+    np.testing.assert_allclose(everywhere.predict(x), without.predict(x), rtol=1e-8)
 
 
 def test_failing_designs_do_not_win() -> None:
