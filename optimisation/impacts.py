@@ -77,9 +77,16 @@ def with_impacts(model: LinearModel, free: Complex, stiffness: Array, damping: A
 
 def _slowest_decay(mass: Array, stiffness: Array, damping: Array) -> float:
     """Slowest rate at which the motion of a mass alone dies away, 1/s."""
-    half = damping / (2.0 * mass)
-    root = np.sqrt(np.maximum(half**2 - stiffness / mass, 0.0))
-    return float(np.min(np.where(root > 0.0, stiffness / mass / np.maximum(half + root, 1e-300), half)))
+    return min(-_own_rates(*own)[0].real for own in zip(mass, stiffness, damping, strict=True))
+
+
+def _own_rates(mass: float, stiffness: float, damping: float) -> tuple[complex, complex, complex]:
+    """Rates of the two parts of a mass' motion on its own spring and dashpot, the slower first, and half of their
+    difference, 1/s."""
+    decay, square = damping / (2.0 * mass), stiffness / mass
+    root = np.sqrt(complex(decay**2 - square)) or 1e-9j  # imaginary if it swings
+    slow = -square / (decay + root) if root.real > 0.0 else root - decay  # no difference of near equals
+    return complex(slow), complex(-(decay + root)), complex(root)
 
 
 def _march(s: Array, v: Array, position: Array, speed: Array, stops: Stops) -> None:
@@ -137,10 +144,8 @@ def _impulse_responses(
     position = scipy.fft.irfft(added, count, axis=-1)[..., :memory] * growing
     speed = scipy.fft.irfft(added * p, count, axis=-1)[..., :memory] * growing
     for d in range(number):
-        decay, square = damping[d] / (2.0 * mass[d]), stiffness[d] / mass[d]
-        root = np.sqrt(complex(decay**2 - square)) or 1e-9j  # imaginary if it swings
-        slow = -square / (decay + root) if root.real > 0.0 else root - decay  # no difference of near equals
-        both = np.exp(slow * time), np.exp(-(decay + root) * time)
+        slow, fast, root = _own_rates(mass[d], stiffness[d], damping[d])
+        both = np.exp(slow * time), np.exp(fast * time)
         position[d, d] += ((both[0] - both[1]) / (2.0 * root)).real / mass[d]
-        speed[d, d] += ((slow * both[0] + (decay + root) * both[1]) / (2.0 * root)).real / mass[d]
+        speed[d, d] += ((slow * both[0] - fast * both[1]) / (2.0 * root)).real / mass[d]
     return position, speed

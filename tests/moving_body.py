@@ -59,7 +59,10 @@ class Balance:
 
 def inputs_at(t: float) -> dict[str, float]:
     """A damper's inputs on the moving body at a time."""
-    rate = lambda e: ca.jacobian(e, TIME)  # noqa: E731
+
+    def rate(e: Any) -> Any:
+        return ca.jacobian(e, TIME)
+
     spin = ROTATION.T @ ca.reshape(rate(ca.vec(ROTATION)), 3, 3)
     omega = ca.vertcat(spin[2, 1], spin[0, 2], spin[1, 0])
     specific = ROTATION.T @ (rate(rate(ATTACHMENT)) + ca.vertcat(0, 0, G))

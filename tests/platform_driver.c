@@ -1,35 +1,10 @@
 /* Loads an FMU's library as an importer does and prints a run of its co-simulation:
  *   driver LIBRARY FMI GUID PARAMETER INPUT SCALARS REFERENCE...
  * The parameter is set to 8.3, the input (x of an acceleration) to a saw-tooth; the references' SCALARS numbers are printed after each step. */
-#include <stdio.h>
-#include <stdlib.h>
-
-#include "fmi2FunctionTypes.h"
-#include "fmi3FunctionTypes.h"
-
-#ifdef _WIN32
-#include <windows.h>
-static void *library;
-static void *symbol(const char *name) { return (void *)GetProcAddress(library, name); }
-static int load(const char *path) { return (library = (void *)LoadLibraryA(path)) != NULL; }
-#else
-#include <dlfcn.h>
-static void *library;
-static void *symbol(const char *name) { return dlsym(library, name); }
-static int load(const char *path) { return (library = dlopen(path, RTLD_NOW | RTLD_LOCAL)) != NULL; }
-#endif
-
-#define F2(name) ((fmi2##name##TYPE *)symbol("fmi2" #name))
-#define F3(name) ((fmi3##name##TYPE *)symbol("fmi3" #name))
+#include "loading.h"
 #define REQUIRE(call) do { if ((call) != 0) { printf("failed: %s\n", #call); return 1; } } while (0)
 
 static const double step = 0.03;
-
-static void logger2(fmi2ComponentEnvironment e, fmi2String name, fmi2Status s, fmi2String c, fmi2String m, ...)
-{
-    (void)e, (void)name, (void)s, (void)c;
-    printf("%s\n", m);
-}
 
 static void print(const double *values, int n)
 {

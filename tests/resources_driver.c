@@ -1,32 +1,7 @@
 /* Has an FMU of wind open a file, once for each folder of resources that the importer may name:
  *   driver LIBRARY FMI GUID TEXT_REFERENCE TEXT REFERENCE RESOURCES...
  * Prints the number at the reference, or why there is none, a line each. */
-#include <stdio.h>
-#include <stdlib.h>
-
-#include "fmi2FunctionTypes.h"
-#include "fmi3FunctionTypes.h"
-
-#ifdef _WIN32
-#include <windows.h>
-static void *library;
-static void *symbol(const char *name) { return (void *)GetProcAddress(library, name); }
-static int load(const char *path) { return (library = (void *)LoadLibraryA(path)) != NULL; }
-#else
-#include <dlfcn.h>
-static void *library;
-static void *symbol(const char *name) { return dlsym(library, name); }
-static int load(const char *path) { return (library = dlopen(path, RTLD_NOW | RTLD_LOCAL)) != NULL; }
-#endif
-
-#define F2(name) ((fmi2##name##TYPE *)symbol("fmi2" #name))
-#define F3(name) ((fmi3##name##TYPE *)symbol("fmi3" #name))
-
-static void logger2(fmi2ComponentEnvironment e, fmi2String name, fmi2Status s, fmi2String c, fmi2String m, ...)
-{
-    (void)e, (void)name, (void)s, (void)c;
-    printf("%s\n", m);
-}
+#include "loading.h"
 
 static void logger3(fmi3InstanceEnvironment e, fmi3Status s, fmi3String c, fmi3String m)
 {

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -46,8 +47,8 @@ def record(
 ) -> Path:
     """A run's folder as the recorder leaves it; not closed: as a run leaves it that was killed."""
     folder.mkdir(parents=True)
-    about = [SimpleNamespace(name=n, unit=u, description=f"about {n}") for n, (u, _) in channels.items()]
-    recorder = Recorder(folder, about, 0.0)  # type: ignore[arg-type]
+    about: list[Any] = [SimpleNamespace(name=n, unit=u, description=f"about {n}") for n, (u, _) in channels.items()]
+    recorder = Recorder(folder, about, 0.0)
     rows = len(next(iter(channels.values()))[1])
     times = STEP * np.arange(rows) if time is None else time
     for part in np.array_split(np.column_stack([times, *(v for _, v in channels.values())]), 3):

@@ -9,6 +9,7 @@ import sys
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import fmpy
 import numpy as np
@@ -205,10 +206,10 @@ def _set_texts_too(monkeypatch: pytest.MonkeyPatch) -> None:
 
     usual = ssp.set_value
 
-    def set_value(component: object, name: str, value: str) -> None:
-        variable = component.variables[name]  # type: ignore[attr-defined]
+    def set_value(component: Any, name: str, value: str) -> None:
+        variable = component.variables[name]
         if variable.type == "String":
-            component.fmu.setString([variable.valueReference], [value])  # type: ignore[attr-defined]
+            component.fmu.setString([variable.valueReference], [value])
         else:
             usual(component, name, value)
 

@@ -112,7 +112,10 @@ def test_in_a_body_that_does_not_turn_it_is_a_mass_damper() -> None:
     """Of mass m_h^2 / M, m_h = rho A B, M = rho A L_e; the rest of the liquid goes with the body."""
     m_h, inertia = DENSITY * B, DENSITY * LENGTH
     mass = m_h**2 / inertia
-    given = lambda t: {f"{FORCE}[1]": 0.3 * np.sin(0.6 * t) + 0.1}  # noqa: E731
+
+    def given(t: float) -> dict[str, float]:
+        return {f"{FORCE}[1]": 0.3 * float(np.sin(0.6 * t)) + 0.1}
+
     liquid = simulate(_coarse(), stop=10.0, step=0.05, parameters=GIVEN | {"xi": 0.0}, inputs=given)
     c = tmd()
     c.internal_step = 0.05
